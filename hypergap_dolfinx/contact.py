@@ -60,10 +60,9 @@ class Contact(Settable):
     The gap domain Σ lies between Γ0 and Γ1 in their present positions. Each vertex a of Γ1 has a
     weighted gap g_a and a pressure p_a with p_a ≥ 0, g_a ≥ 0, p_a g_a = 0. The gap is a volume of
     Σ: in the plane that with the weight w_a = ∂ψ_a/∂α, in space that over the vertex's part of Γ1's
-    facets, along their normals. The forces Σ_a p_a ∂g_a/∂u balance. Bodies of degree 2 have a gap
-    and a pressure at each node of Γ1: its facets are cut there, and nodes count as vertices. (In
-    space not where both surfaces are curved, or one meets itself.) In the plane edges with geometry
-    of degree 2 are arcs of circles.
+    facets, along their normals. The forces Σ_a p_a ∂g_a/∂u balance. In the plane bodies of degree 2
+    have a gap and a pressure at each node of Γ1: its edges are halved, and nodes count as vertices.
+    There edges with geometry of degree 2 are arcs of circles.
 
     With friction there are tractions q_a opposite to the slip s_a since the last load step:
     |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where s_a isn't zero.
@@ -175,9 +174,9 @@ class Contact(Settable):
             revolution.swept(create_surface(*side, name), angle)
             for side, name in ((side0, "Γ0"), (side1, "Γ1"))
         )
-        itself = self._is_itself(side0, side1)
-        self._split = _at_nodes(below, above, itself)
+        self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
         self._surfaces = (below.arcs, above.arcs.split) if self._split else (below, above)
+        itself = self._is_itself(side0, side1)
         thickness = min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1, self._split)
         self._compliance = (
@@ -367,8 +366,8 @@ class Contact(Settable):
     def pressures(self, problem) -> npt.NDArray[np.float64]:
         """Pressures at the vertices of Γ1, for plots and comparisons. Collective.
 
-        They are averages of the multipliers over Σ's cells, with the same total force. With degree
-        2 they are the multipliers at Γ1's nodes, where Γ0 ends means over what their gaps have.
+        They are averages of the multipliers over Σ's cells, with the same total force. In the plane
+        with degree 2 they are the multipliers at Γ1's nodes.
 
         Args:
             problem: A solved problem with this contact.
@@ -389,7 +388,7 @@ class Contact(Settable):
             problem: A solved problem with this contact.
             on: ``"sigma"``: constant on each cell of the displaced Σ.
                 ``"body"``: :meth:`pressures` as a function on Γ1's body, 0 off Γ1, of degree 1 (of
-                degree 2 if they are at its nodes).
+                degree 2 in the plane between bodies of degree 2).
                 ``"surface"``: on a mesh of the displaced Γ1 with finer cells near free edges of
                 contact, where the pressure goes to zero as a square root, within facets.
                 This is the most accurate one. Its force equals :meth:`force` to about 1e-3, unless
@@ -789,17 +788,6 @@ class ContactGeometry:
     def status(self, rows: ContactRows) -> ContactStatus:
         """Status of given rows of this contact, as arrays; updates their gaps. Collective."""
         return ContactStatus.of(rows, self.surfaces, self.chosen)
-
-
-def _at_nodes(below: Surface, above: Surface, itself: bool) -> bool:
-    """True for multipliers at the nodes of degree 2; in space not where both sides are curved.
-
-    Such sides may fit all along. What parabolas are off between nodes, facet for facet, would then
-    be a pattern of pressures, which those at vertices average.
-    """
-    both = below.element.degree == above.element.degree == 2
-    fit = itself or bool(below.curved.any() and above.curved.any())
-    return both and (below.gdim == 2 or not fit)
 
 
 def _size(surface: Surface) -> float:

@@ -94,16 +94,6 @@ class Blended:
         np.add.at(result, b, (self.shares * p[a].T).T)
         return result
 
-    def mean_pressures(self, p: Floats) -> Floats:
-        """Means of the pressures over what rows have of the surface, ``(num,)`` each.
-
-        The less a vertex is covered, the more its multiplier acts beside it, and the less its own
-        pressure is determined.
-        """
-        own, sizes = self.pressures(p), self.blended(self.sizes)
-        mean = np.divide(self.blended(self.sizes * own), sizes, out=own.copy(), where=sizes > 0)
-        return np.where(p != 0, mean, own)
-
     def blended(self, values: Floats) -> Floats:
         """L of values at vertices, ``(num,)``."""
         return values + self._q * self._sums_of(values)

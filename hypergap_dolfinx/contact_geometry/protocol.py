@@ -205,16 +205,17 @@ class Segments(ABC):
         """Pressures for plots: the force of p, with less scatter between nodes.
 
         Half of what each facet has of a vertex keeps the vertex' pressure, the other half has the
-        mean of the facet. On parts of facets pressures are means over what vertices' rows have.
+        mean of the facet.
 
         Args:
             u: Displacements.
             p: ``(num_multipliers,)``.
         """
         gaps = self._at(u)
-        if self.sides[1].reference.num_parts > 1:  # scatters less than facets' means are off
-            return gaps.mean_pressures(p)
-        p = gaps.pressures(p)[gaps.facets]
+        p = gaps.pressures(p)
+        if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
+            return p
+        p = p[gaps.facets]
         size = gaps.areas.sum(axis=1, keepdims=True)
         force = (gaps.areas * p).sum(axis=1, keepdims=True)
         mean = np.divide(force, size, out=np.zeros_like(size), where=size > 0)

@@ -42,14 +42,7 @@ from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError
-from hypergap_dolfinx.surface.moving import (
-    Displacements,
-    MovingSurface,
-    Sides,
-    Sparse,
-    displaced,
-    joined,
-)
+from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
 
 Floats = npt.NDArray[np.float64]
 
@@ -285,49 +278,11 @@ class SpaceColumns:
 
 
 @dataclass
-class PartsColumns(SpaceColumns):
-    """Columns on parts of Γ1's facets; derivatives are by the dofs of whole facets."""
-
-    by_dofs: Sparse = field(default_factory=Sparse.empty)
-    """Displacements of both sides, Γ1's at its parts' dofs, by those of whole facets."""
-
-    @override
-    def gaps(self) -> tuple[Floats, Floats, Floats, Sparse, Sparse]:
-        g, covered, areas, C, K = super().gaps()
-        return g, covered, areas, C @ self.by_dofs, K @ self.by_dofs
-
-    @override
-    def parting(self) -> Sparse:
-        return super().parting() @ self.by_dofs
-
-    @override
-    def curvature(self, p: Floats, by_covered: Floats) -> Sparse:
-        return self.by_dofs.T @ (super().curvature(p, by_covered) @ self.by_dofs)
-
-    @override
-    def slips(self, on, moved: Floats | None = None) -> Sparse:
-        if moved is not None:
-            moved = self.by_dofs.times([moved], 3 * self.size[1]).reshape(-1, 3)
-        return super().slips(on, moved) @ self.by_dofs
-
-    @override
-    def slip_curvature(self, traction: Floats) -> Sparse:
-        return self.by_dofs.T @ (super().slip_curvature(traction) @ self.by_dofs)
-
-
-@dataclass
 class SpaceSegments(Segments):
     """Contact segments in space."""
 
     itself: bool = field(default=False, kw_only=True)
     """True if both sides are one surface, which meets itself."""
-
-    @cached_property
-    def _parts(self) -> tuple[MovingSurface, Sparse]:
-        """Γ1 with its parts as facets, and both sides' displacements by those of whole facets."""
-        (above, V), num, k = self.sides[1].parts, 3 * len(self.sides[0].dofs), np.arange(3)
-        i, j = (np.append(np.arange(num), num + 3 * at[:, None] + k) for at in (V.i, V.j))
-        return above, Sparse(i, j, np.append(np.ones(num), np.repeat(V.values, 3)))
 
     @cached_property
     def _own(self) -> OwnPairs | None:
@@ -336,19 +291,11 @@ class SpaceSegments(Segments):
 
     @override
     def _find(self, u: Displacements) -> SpaceColumns:
-        found: SpaceColumns | None
-        if self.sides[1].reference.num_parts > 1:
-            below, (above, by_dofs) = self.sides[0], self._parts
-            moved = by_dofs.times(u, 3 * (len(below.dofs) + len(above.dofs))).reshape(-1, 3)
-            found = PartsColumns.between((below, above), (u[0], moved[len(below.dofs) :]))
-            if isinstance(found, PartsColumns):
-                found.by_dofs = by_dofs
-        else:
-            found = SpaceColumns.between(self.sides, u, self._own)
+        found = SpaceColumns.between(self.sides, u, self._own)
         if found is None or not len(found.shown[1]):
-            x0, x1 = (surface.x for surface in displaced(self.sides, u))
+            below, above = displaced(self.sides, u)
             raise NotFacingError(
-                f"nothing of Γ1 (around {spot(x1)}) lies opposite Γ0 (around {spot(x0)}) "
+                f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
                 "along its normals; check the tags."
             )
         return found

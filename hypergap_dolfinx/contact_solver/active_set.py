@@ -1,18 +1,13 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Working set of a Newton step: rows that are independent, and that hold rigid bodies."""
+"""Working set of a Newton step: multipliers that hold rigid bodies."""
 
 from dataclasses import dataclass
-
-from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.tolerances import NOTHING
-from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS, IN_LINE
-from hypergap_dolfinx.core.sparse import coo_matrix
-from hypergap_dolfinx.surface.moving import Sparse, joined
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS
 
 
 @dataclass
@@ -68,25 +63,6 @@ def holding(active, distance, valid, holds, across=()) -> tuple[npt.NDArray[np.b
     result = active.copy()
     result[order[taken]] = True
     return result, num - len(held)
-
-
-def are_independent(rows: Sparse, num: int) -> npt.NDArray[np.bool_]:
-    """Mask of rows that aren't along those before them, in an order of little fill, ``(num,)``.
-
-    Pivots of A Aᵀ, with A's rows as unit vectors, are the parts of their squares that aren't along
-    those before them.
-    """
-    size = np.sqrt(np.bincount(rows.i, rows.values**2, num))
-    unit, every = rows.scaled(1 / np.where(size > 0, size, 1)), np.arange(num)
-    G = joined(unit @ unit.T, Sparse(every, every, np.full(num, NOTHING)))
-    G = coo_matrix(MPI.COMM_SELF, (num, num), G.i, G.j, G.values)
-    order, columns = G.getOrdering("nd")
-    G.factorLU(order, columns)
-    pivots, found = G.getDiagonal(), np.empty(num, dtype=bool)
-    found[order.getIndices()] = pivots.array_r.real > 1 - IN_LINE
-    for part in (G, pivots, order, columns):
-        part.destroy()
-    return found
 
 
 def num_free(holds) -> int:

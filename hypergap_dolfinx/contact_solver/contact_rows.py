@@ -19,7 +19,6 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.algebra.pattern import Pattern, coupled
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.contact_solver import active_set
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
@@ -429,26 +428,23 @@ class ContactRows:
         """Make all multipliers of the working set slip; false without friction."""
         return False
 
-    def start_set(self, stiffness: float, zero: float):
+    def start_set(self, stiffness: float, zero: float, *, touches: bool = True):
         """Choose the working set: the last active multipliers, and those that touch or overlap.
-
-        Of these, rows that repeat others stay out. They can still join with a wrong sign.
 
         Args:
             stiffness: Stiffness of the bodies' nodes, which makes forces of lengths.
             zero: Pressure treated as zero.
+            touches: False to start again, with the last active multipliers alone.
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
         self._diagonal, self._bends, self._guess = self._diagonal or stiffness, None, None
         now = self.state
+        if touches:
+            self._last = now.active
+            now.active = now.active | (self.distance <= EXACT * self._size)
+        else:
+            now.active = self._last
         now.active = self.valid & now.active
-        touch = self.valid & (self.distance <= EXACT * self._size)
-        if (touch & ~now.active).any():
-            at = np.flatnonzero(now.active | touch)
-            rows = self._watched(self.C)
-            rows = rows.some(np.isin(rows.i, at))
-            rows = replace(rows, i=np.searchsorted(at, rows.i))
-            now.active[at[active_set.are_independent(rows, len(at))]] = True
         now.p = np.where(now.active, now.p, 0)
 
     # Geometry

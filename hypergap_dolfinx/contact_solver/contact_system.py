@@ -66,8 +66,8 @@ class ContactSystem(NonlinearSystem):
     2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The linearised
        contact problem, with its inequalities and the tangent at the last pressures, is solved
        exactly. Displacements change by its solution; pressures and active sets are its own. The
-       last sets, with what touches or overlaps and doesn't repeat other rows, are only the first
-       guess. They are enlarged where nothing else holds a body.
+       last sets, with what touches or overlaps, are only the first guess; without a solution it is
+       solved again from the last sets alone. They are enlarged where nothing else holds a body.
     3. *Continuation* (:mod:`~hypergap_dolfinx.contact_solver.continuation`; halving is in
        ``ContactProblem.solve``)::
 
@@ -433,6 +433,9 @@ class ContactSystem(NonlinearSystem):
         floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * self._largest
         self._tangent.floor = floor
         found = self._solution(solve)
+        if not found.is_solved and self._leaves_what_touches(start, stiffness):
+            again = self._solution(solve)
+            found = again if again.is_solved else found
         self._num_rays = self._num_rays + 1 if found.leaves else 0
         if not found.is_solved or self._num_rays == PATIENCE:
             raise SolveError(self._unsolved(found))
@@ -469,6 +472,22 @@ class ContactSystem(NonlinearSystem):
             again = self._falling_back(lambda: solve(guesses))
             found = again if again.is_solved else found
         return found
+
+    def _leaves_what_touches(self, start: SystemState, stiffness: float) -> bool:
+        """Go back to the last sets: what touches can say the same twice. False if they are these.
+
+        Args:
+            start: The state with the sets that led to no solution.
+            stiffness: As for :meth:`_step`.
+        """
+        self._restore(start)
+        zero = self._zero_pressure()
+        for rows in self._rows:
+            rows.start_set(stiffness, zero, touches=False)
+        if self._num_free:
+            self._hold()
+        pairs = zip(self._rows, start.contacts, strict=True)
+        return any((rows.state.active != before.active).any() for rows, before in pairs)
 
     def _check_turns(self, changes: Sequence[npt.NDArray]):
         """Raise if a step turns a rigid body by more than a turn: then nothing holds it."""

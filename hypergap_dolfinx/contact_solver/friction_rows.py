@@ -183,10 +183,10 @@ class FrictionRows(ContactRows):
 
     # The linearised contact problem
 
-    def start_set(self, stiffness: float, zero: float):
+    def start_set(self, stiffness: float, zero: float, *, touches: bool = True):
         """Choose the working set; in it new multipliers stick."""
         last = self.state.active
-        super().start_set(stiffness, zero)
+        super().start_set(stiffness, zero, touches=touches)
         now = self.state
         now.sticks |= ~last
         now.q = np.where(now.active, now.q, 0)

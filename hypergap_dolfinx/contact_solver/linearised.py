@@ -30,7 +30,7 @@ from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent, NotPositive
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, PATIENCE, SHORTENED, STEPS, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, SHORTENED, STEPS, TRIALS
 from hypergap_dolfinx.surface.moving import Sparse
 
 Array = npt.NDArray[np.float64]
@@ -229,11 +229,15 @@ class LinearisedContact:
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction.
 
-        If Newton's method fails, it is repeated with a compliance of the rows that falls to zero.
-        With a large one there is one solution.
+        If Newton's method fails, it is repeated from the pressures with which new rows don't rub,
+        and then with a compliance of the rows that falls to zero. With a large one there is one
+        solution.
         """
+        whole = y0, f0, A, B, of
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
         found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
+        if found is None:
+            found = self._newton(y0, f0, A, B, of, self._pressed(*whole))
         if found is not None:
             return found
         for share in (*give * SHORTENED ** np.arange(-1.0, 2 * TRIALS), 0.0):
@@ -243,13 +247,25 @@ class LinearisedContact:
             z = found
         return z
 
-    def _newton(self, y0, f0, A, B, of, z) -> Array | None:
-        """Newton's method with a line search.
+    def _pressed(self, y0, f0, A, B, of) -> Array:
+        """The unknowns if rows that come have no traction; zero without a solution."""
+        normal = [np.arange(part.num_unknowns) < len(part.g) for part in self._rows]
+        z, on = np.zeros(len(of)), np.concatenate(normal)[of]
+        found = self._lcp(y0, f0, A[:, on], B[:, on], of[on], z[on])
+        z[on] = 0 if found is None else found
+        return z
 
-        A step that leads down nowhere is taken at its shortest. Errors of gaps and of forces have
-        no common scale: in a stiff row a smaller error of the gap may need a larger error of the
-        force.
+    def _newton(self, y0, f0, A, B, of, z) -> Array | None:
+        """Newton's method with a line search, and with full steps if that finds no descent.
+
+        Errors of gaps and of forces have no common scale. In a stiff row a smaller error of the gap
+        may need a larger error of the force, and a line search finds no descent.
         """
+        found = self._descended(y0, f0, A, B, of, z, TRIALS)
+        return self._descended(y0, f0, A, B, of, z, 0) if found is None else found
+
+    def _descended(self, y0, f0, A, B, of, z, trials: int) -> Array | None:
+        """Newton's method with so many trials of a shorter step; all steps are full for none."""
         laws = self._laws(y0 + B @ z, f0 + A @ z, of)
         for _ in range(STEPS):
             if laws.are_satisfied:
@@ -259,12 +275,15 @@ class LinearisedContact:
                 way = np.linalg.solve(slope, -laws.error)
             except np.linalg.LinAlgError:
                 way = np.linalg.lstsq(slope, -laws.error)[0]
-            size, start = np.linalg.norm(laws.error), z
-            for share in 0.5 ** np.arange(PATIENCE + 1):
+            size, share, start = np.linalg.norm(laws.error), 1.0, z
+            for _ in range(max(trials, 1)):
                 z = start + share * way
                 laws = self._laws(y0 + B @ z, f0 + A @ z, of)
-                if np.linalg.norm(laws.error) < size:
+                if not trials or np.linalg.norm(laws.error) < size:
                     break
+                share /= 2
+            else:
+                return None
         return None
 
     def _laws(self, y, f, of) -> "_Laws":

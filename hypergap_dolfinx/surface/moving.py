@@ -14,7 +14,6 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.surface.tolerances import NOISE
 from hypergap_dolfinx.surface.trace import Surface
 
 
@@ -60,21 +59,6 @@ class MovingSurface:
     def nodes_by_dofs(self) -> npt.NDArray[np.float64]:
         """Derivatives of a displaced facet's nodes by its dofs, ``(num_parts, node, dof)``."""
         return self.rest.functions(self.rest.geometry.points)
-
-    @cached_property
-    def parts(self) -> "tuple[MovingSurface, Sparse]":
-        """Parts of facets as facets, each with dofs of its own, and these by :attr:`dofs`.
-
-        Returns:
-            The surface, and values at its dofs by those here, ``(num_own_dofs, num_dofs)``.
-        """
-        surface, every = self.reference, np.arange(len(self.reference.facets))
-        own = np.arange(surface.dofs.size).reshape(surface.dofs.shape)
-        values = surface.functions(surface.element.points)[every % surface.num_parts]
-        pairs = np.broadcast_arrays(own[:, :, None], self.at_facets[:, None], values)
-        found = Sparse(*(part.ravel() for part in pairs))
-        moving = MovingSurface(replace(surface, num_parts=1, dofs=own))
-        return moving, found.some(np.abs(found.values) > NOISE)
 
     @cached_property
     def _corners(self) -> list[int]:

@@ -89,12 +89,9 @@ def test_patch_of_hexahedra(swap):
     assert pressure_error(1, (4, 3), swap, 0.2, meshing.CellType.hexahedron) <= 1e-11
 
 
-@pytest.mark.ranks(2, n=[(4, 2)], swap=[True])
-@pytest.mark.parametrize("swap", (False, True))
-@pytest.mark.parametrize("n", ((4, 2), (4, 6), (12, 2)))
-def test_patch_of_degree_2(n, swap):
-    """Multipliers at the nodes of degree 2, on facets 3 times as fine to 3 times as coarse."""
-    assert pressure_error(2, n, swap, 1e-3) <= 1e-11
+def test_patch_of_degree_2():
+    """Multipliers at vertices: their pressures pass through all nodes."""
+    assert pressure_error(2, (4, 2), False, 1e-3) <= 1e-10
 
 
 def test_patch_of_hexahedra_of_degree_2():
@@ -139,7 +136,6 @@ def test_corner_comes_across_a_quadrilateral(past):
         ((5, 4), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.3, True, False),
         ((4, 6), NARROWER, 20.0, 0.3, True, False),
         ((7, 7), NARROWER, 39.0, 0.1, False, False),
-        ((7, 7), (SPANS[0], ((0, 0, 0), (1, 1, 0.5))), 0.0, 0.6, True, False),
         ((4, 6), NARROWER, 20.0, 0.3, True, True),
     ),
 )
@@ -231,15 +227,13 @@ def rough(
     gap=0.1,
     size=0.02,
     cells=(4, 3),
-    split=False,
 ):
     """Two planes, and displacements that part them and make both rough."""
     found, rng = [], np.random.default_rng(1)
     for i, (start, end) in enumerate((((0, 0, -0.5), (1, 1, 0)), ((*low, 0), (*high, 0.5)))):
         mesh = meshing.create_box(comm, [start, end], (cells[i], cells[i], 1), cell)
         V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-        surface = create_surface(V, boundary(mesh, 2, 0), f"Γ{i}")
-        found.append(MovingSurface(surface.split if split and i else surface))
+        found.append(MovingSurface(create_surface(V, boundary(mesh, 2, 0), f"Γ{i}")))
     u = [size * rng.standard_normal((len(side.dofs), 3)) for side in found]
     u[1] += (0, 0, gap)
     return tuple(found), tuple(u), rng
@@ -265,12 +259,6 @@ STEP = 1e-5  # of differences of the fourth order
         ({"cell": meshing.CellType.hexahedron, "degree": 2, "cells": (1, 2)}, 1e-9, 1e-9),
         ({"degree": 2, "size": 1e-3}, 1e-5, 1e-3),  # curved edges, cut as if they were straight
         ({"cell": meshing.CellType.hexahedron, "degree": 2, "size": 1e-3}, 1e-5, 1e-3),
-        ({"degree": 2, "size": 1e-3, "split": True, "low": (-0.3, 0.31)}, 1e-5, 1e-3),
-        (
-            {"cell": meshing.CellType.hexahedron, "degree": 2, "size": 1e-3, "split": True},
-            1e-5,
-            1e-3,
-        ),
     ),
 )
 def test_derivatives(options, gradient, curvature):
@@ -305,11 +293,7 @@ def _positions(side, u):
     """Where the dofs of a surface are now."""
     surface = side.displaced(u)
     x = np.empty((len(side.dofs), 3))
-    if surface.num_parts > 1:
-        V = side.parts[1].some(side.parts[1].values > 1 - 1e-9)
-        x[V.j] = surface.nodes.reshape(-1, 3)[V.i]
-    else:
-        x[side.at_facets] = surface.nodes  # of the dofs' element
+    x[side.at_facets] = surface.nodes  # of the dofs' element
     return x
 
 

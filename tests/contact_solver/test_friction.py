@@ -16,7 +16,6 @@ from helpers import close, raises, sweep
 
 import meshes
 from dolfinx import fem
-from dolfinx.mesh import CellType
 from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -80,11 +79,9 @@ def test_slip(options):
     close(turned[0], -opening.gap(u)[0], 1e-12)
 
 
-@pytest.mark.parametrize("parts", (False, True))
-def test_slip_in_space(monkeypatch, parts):
-    """Vertices have two directions, which are taken as they are; of degree 2 no edge is crossed."""
-    cell, given = CellType.hexahedron, {"degree": 2, "cells": (1, 2), "split": True}
-    sides, u, rng = space.rough(cell=cell, **given) if parts else space.rough()
+def test_slip_in_space(monkeypatch):
+    """Vertices have two directions, which are taken as they are."""
+    sides, u, rng = space.rough()
     opening = SpaceSegments.between(sides, u)
     fixed = columns.directions(opening._at(u).rays.frames)
     monkeypatch.setattr(columns, "directions", lambda *_: fixed)
@@ -478,22 +475,22 @@ def test_other_direct_solver(monkeypatch):
 
 
 def test_falling_compliances(monkeypatch):
-    """A small problem that Newton's method doesn't solve is solved along a path, alike."""
-    paths, found, newton = [], [], linearised.LinearisedContact._newton
+    """A small problem where Newton's method finds no descent is solved along a path."""
+    paths, newton = [], linearised.LinearisedContact._newton
 
     def tried(*args):
-        paths.append(newton(*args) if paths or not found else None)
+        paths.append(newton(*args))
         return paths[-1]
 
     monkeypatch.setattr(linearised.LinearisedContact, "_newton", tried)
-    for _ in range(2):
-        contact, problem, go = rotating(2, friction=0.1)
-        paths.clear()
-        go(0, 0.04, -0.1)
-        found.append(contact.rows.state.p)
-    assert paths[0] is None and len(paths) > 10 and paths[-1] is not None
+    start = lambda self, y0, f0, A, B, of: np.zeros(len(of))  # noqa: E731
+    monkeypatch.setattr(linearised.LinearisedContact, "_pressed", start)
+    _, problem, go = rotating(2, friction=0.1)
+    go(0, 0, -0.1)
+    paths.clear()
+    go(0, 0.04, -0.1)
+    assert paths[0] is paths[1] is None and paths[-1] is not None
     assert problem.iterations <= 4
-    close(found[1], found[0], 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse
 from assembly import Elastic, rectangle
-from helpers import sweep, two_ranks
+from helpers import sweep
 from scipy.sparse.linalg import splu
 from test_contact import Blocks
 from test_contact_scenes import press_punch
@@ -23,7 +23,6 @@ from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import CellType, create_box, locate_entities_boundary
 from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
-from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.mortar.free_edges import (
     ContactState,
     SurfacePressure,
@@ -92,49 +91,28 @@ class Pressed:
             body = rectangle(*given, degree=degree)
             surface = create_surface(body.V, body.facets((meshes.TOP, meshes.BOTTOM)[i]), f"Γ{i}")
             parts.append(MovingSurface(surface.split if i else surface))
-            self.bodies.append((body.V, body.facets((meshes.BOTTOM, meshes.TOP)[i])))
+            self.bodies.append((body, body.facets((meshes.BOTTOM, meshes.TOP)[i])))
         self.sides = parts[0], parts[1]
 
     def schur(self):
         """C K⁻¹ Cᵀ of the bodies, which are held far away."""
-        dim = self.sides[0].reference.gdim
-        u = [np.zeros((len(side.dofs), dim)) for side in self.sides]
-        kind = PlaneSegments if dim == 2 else SpaceSegments
-        g, _, C = kind.between(self.sides, (u[0], u[1])).gap((u[0], u[1]))
+        u = [np.zeros((len(side.dofs), 2)) for side in self.sides]
+        g, _, C = PlaneSegments.between(self.sides, (u[0], u[1])).gap((u[0], u[1]))
         found, first = 0, 0
-        for (V, far), side in zip(self.bodies, self.sides, strict=True):
-            elastic = Elastic.on(V)
+        for (body, far), side in zip(self.bodies, self.sides, strict=True):
+            elastic = Elastic.on(body.V)
             K = fem.assemble_matrix(fem.form(ufl.derivative(elastic.F, elastic.u)))
             K = K.to_scipy().tocsc()
-            held = dim * fem.locate_dofs_topological(V, dim - 1, far)[:, None] + np.arange(dim)
-            free = np.setdiff1d(np.arange(K.shape[0]), held.ravel())
-            own = (C.j >= first) & (C.j < first + dim * len(side.dofs))
-            node, component = np.divmod(C.j[own] - first, dim)
-            columns = dim * side.dofs[node] + component
+            held = fem.locate_dofs_topological(body.V, 1, far)
+            free = np.setdiff1d(np.arange(K.shape[0]), (2 * held[:, None] + np.arange(2)).ravel())
+            own = (C.j >= first) & (C.j < first + 2 * len(side.dofs))
+            node, component = np.divmod(C.j[own] - first, 2)
+            columns = 2 * side.dofs[node] + component
             shape = len(g), K.shape[0]
             B = scipy.sparse.csr_matrix((C.values[own], (C.i[own], columns)), shape)[:, free]
             found = found + B @ splu(K[free][:, free]).solve(B.T.toarray())
-            first += dim * len(side.dofs)
+            first += 2 * len(side.dofs)
         return found
-
-
-class PressedSolids(Pressed):
-    """The same in space."""
-
-    def __init__(self, n, degree, cell):
-        """Make both, of cells of a kind."""
-        self.bodies, parts = [], []
-        for i, low in enumerate((-0.5, 0)):
-            ends, cells = [(0, 0, low), (1, 1, low + 0.5)], (n[i], n[i], max(1, n[i] // 2))
-            V = fem.functionspace(create_box(comm, ends, cells, cell), ("Lagrange", degree, (3,)))
-            near, far = (
-                locate_entities_boundary(V.mesh, 2, lambda x, z=z: np.isclose(x[2], z))
-                for z in (0, low if i == 0 else low + 0.5)
-            )
-            surface = create_surface(V, near, f"Γ{i}")
-            parts.append(MovingSurface(surface.split if i else surface))
-            self.bodies.append((V, far))
-        self.sides = parts[0], parts[1]
 
 
 @pytest.mark.parametrize("num", sweep((8, 16, 32), 3))
@@ -144,20 +122,6 @@ def test_stable(ratio, num):
     n = tuple(num * part // min(ratio) for part in ratio[::-1])
     coarse, fine = (Pressed(n, degree).schur() for degree in (2, 4))
     assert np.sqrt(scipy.linalg.eigvalsh(coarse, fine)[0]) >= 0.6
-
-
-SOLIDS = [
-    (n, bound, cell)
-    for n, bounds in (((2, 2), (0.46, 0.6)), ((2, 1), (0.6, 0.7)), ((1, 2), (0.37, 0.5)))
-    for cell, bound in zip((CellType.tetrahedron, CellType.hexahedron), bounds, strict=True)
-]
-
-
-@pytest.mark.parametrize(("n", "bound", "cell"), sweep(SOLIDS, 5))
-def test_stable_in_space(n, bound, cell):
-    """As :func:`test_stable`, n facets a side on Γ0 and Γ1; the same with twice as many."""
-    coarse, fine = (PressedSolids(n, degree, cell).schur() for degree in (2, 4))
-    assert np.sqrt(scipy.linalg.eigvalsh(coarse, fine)[0]) >= bound
 
 
 def quarter_cylinders(cell):
@@ -184,10 +148,9 @@ def quarter_cylinders(cell):
     return contact.pressures(problem)
 
 
-@two_ranks(cell=["hexahedron"])
 @pytest.mark.parametrize("cell", ("hexahedron", "tetrahedron"))
 def test_surfaces_that_fit(cell):
-    """Pressures at vertices alone: at all nodes they are .6 to 1.3 and .3 to 1.6 of the mean."""
+    """Curved on both sides; pressures at the nodes of degree 2 would be .3 to 1.6 of the mean."""
     p = quarter_cylinders(cell)
     assert np.abs(p / p.mean() - 1).max() <= 0.06
 
