@@ -758,8 +758,8 @@ class ContactGeometry:
         if self.finer <= FINER * (1 + 1e-9):
             return None
         return (
-            f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact "
-            "than with the sides swapped (Contact.between chooses)."
+            f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact than with the "
+            "sides swapped; Contact.between swaps them unless Γ0 is far stiffer."
         )
 
     @cached_property

@@ -551,7 +551,7 @@ class ContactProblem(ContactSystem):
             (
                 LEANING,
                 "facets of Γ1 tilt towards a wall of Γ0 beside them, and the gap up to it, {:.2f} "
-                "facets in the mean, makes the contact force some per cent too small",
+                "facets in the mean, makes the contact force too small",
             ),
         )
         for c, rows in enumerate(self._rows):

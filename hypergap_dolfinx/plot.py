@@ -381,6 +381,10 @@ def _with_values(
         for into, one in zip(both, (u, f), strict=True):
             into.interpolate(one)
         u, more = both[0], {"value": np.real(both[1].x.array)}
+    elif V.ufl_element().basix_element.degree == 0:  # VTK's cells have values at their vertices
+        V = fem.functionspace(V.mesh, ("Discontinuous Lagrange", 1, V.value_shape))
+        constant, u = u, fem.Function(V)
+        u.interpolate(constant)
     cells, types, x = vtk_mesh(V, owned)  # type: ignore[arg-type]
     values = np.real(u.x.array).reshape(-1, V.dofmap.index_map_bs)[: len(x)]
     more = {key: array[: len(x)] for key, array in more.items()}

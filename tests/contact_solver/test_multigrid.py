@@ -217,7 +217,6 @@ def test_rough_guesses_with_friction(monkeypatch, friction, rough):
     assert scene.problem._tangent.iterations <= 300
 
 
-@pytest.mark.slow
 def test_few_iterations_for_each_set(monkeypatch):
     """Of many working sets that differ little each needs about one iteration for its signs."""
     pytest.importorskip("gmsh")

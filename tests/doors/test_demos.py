@@ -124,12 +124,11 @@ DEMOS = {
     ),
     "cad_assemblies": Demo("--only shaft --degree 1", {}, {"*.ratio": 1.2}, needs=("gmsh",)),
     "cad_dovetail": Demo(
-        "--only dovetail --degree 2 1",
+        "--only dovetail --degree 2" + " 1" * thorough,
         {},
         {"*.ratio": 1.2},
         needs=("gmsh",),
         script="cad_assemblies",
-        slow=True,
     ),
     "contact_run_time": Demo(
         "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",

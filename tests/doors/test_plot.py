@@ -36,6 +36,17 @@ def test_curved_cells(cell, num_edges):
     assert lines.n_cells == num_edges * 8
 
 
+def test_values_of_cells():
+    """A function that is constant in cells."""
+    from dolfinx.mesh import create_unit_square
+    from hypergap_dolfinx import plot
+
+    f = fem.Function(fem.functionspace(create_unit_square(MPI.COMM_SELF, 2, 2), ("DG", 0)))
+    f.x.array[:] = np.arange(len(f.x.array))
+    (actor, *_) = (a for a in plot.field(f).actors.values() if hasattr(a, "mapper"))
+    assert set(np.unique(actor.mapper.dataset["value"]).round(9)) <= set(f.x.array)
+
+
 def test_fine_cells():
     """Edges of fine cells don't hide colours, those of a body not the values on its side."""
     from dolfinx.mesh import create_submesh, create_unit_square, locate_entities_boundary
