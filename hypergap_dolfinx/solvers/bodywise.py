@@ -15,6 +15,7 @@ iterations doesn't depend on the mesh; it grows as Γ1's body is stiffer than Γ
 """
 
 from collections.abc import Sequence
+from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
 from petsc4py import PETSc
@@ -70,9 +71,10 @@ class Bodies(IterativeSolver):
         reason = super().why_not(system)
         if reason:
             return reason
-        circle = find_circle(_directions(constraints))
-        if circle:
-            return _why_circle(constraints, spaces, circle)
+        try:
+            order_of_bodies(len(spaces), _directions(constraints))
+        except CycleError as error:
+            return _why_circle(constraints, spaces, error.args[1][::-1])
         ties, wrong = range(len(constraints.bodies)), np.zeros(len(spaces), dtype=int)
         for body, V in enumerate(spaces):
             mine = [t for t in ties if constraints.bodies[t][1] == body]
@@ -108,8 +110,10 @@ def _directions(constraints: ConstraintBlocks) -> list[tuple[int, int, int]]:
     return [each[:3] for each in sorted(found, key=lambda each: each[0] != each[3])]
 
 
-def _why_circle(constraints: ConstraintBlocks, spaces, circle: Sequence[Sequence[int]]) -> str:
-    """Reason why bodies have no order, and what gives them one."""
+def _why_circle(constraints: ConstraintBlocks, spaces, bodies: Sequence[int]) -> str:
+    """Reason why bodies, from each Γ0's to Γ1's, have no order, and what gives them one."""
+    directions, pairs = _directions(constraints), pairwise(bodies)
+    circle = [next(one for one in directions if one[:2] == pair) for pair in pairs]
     names = [constraints.name(g) for *_, g in circle]
     if len(circle) == 1:
         return f"{names[0]} ties a body to itself"
@@ -201,33 +205,14 @@ def order_of_bodies(num_bodies: int, bodies: Sequence[Sequence[int]]) -> list[in
 
     Args:
         num_bodies: Number of bodies.
-        bodies: Γ0's and Γ1's body of each tie, which don't lead round in a circle.
-    """
-    left, order = list(range(num_bodies)), []
-    while left:
-        ready = [i for i in left if not any(i == i0 and i1 in left for i0, i1, *_ in bodies)]
-        assert ready, "in a circle"
-        order += ready
-        left = [i for i in left if i not in ready]
-    return order
-
-
-def find_circle(bodies: Sequence[Sequence[int]]) -> list[Sequence[int]]:
-    """Entries that lead round in a circle, each from its first body to its second; none if none do.
-
-    Args:
         bodies: Γ0's and Γ1's body of each tie, and what else belongs to it.
+
+    Raises:
+        CycleError: If ties lead round in a circle. Its second argument has the bodies, from Γ1's to
+            Γ0's, the first one again at the end.
     """
-    left = list(bodies)
-    while any(ends := [all(one[1] != other[0] for other in left) for one in left]):
-        left = [one for one, is_end in zip(left, ends, strict=True) if not is_end]
-    way = left[:1]
-    while way:  # each leads to another one
-        following = next(one for one in left if one[0] == way[-1][1])
-        if following in way:
-            return way[way.index(following) :]
-        way.append(following)
-    return []
+    graph = {i: [i1 for i0, i1, *_ in bodies if i0 == i] for i in range(num_bodies)}
+    return list(TopologicalSorter(graph).static_order())
 
 
 class Body:

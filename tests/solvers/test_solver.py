@@ -4,6 +4,8 @@
 
 import logging
 import re
+from graphlib import CycleError
+from itertools import pairwise
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,7 +20,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from hypergap_dolfinx.solvers import choice
-from hypergap_dolfinx.solvers.bodywise import find_circle, order_of_bodies
+from hypergap_dolfinx.solvers.bodywise import order_of_bodies
 
 comm = MPI.COMM_WORLD
 
@@ -630,9 +632,14 @@ def facets_at(V, y):
 def test_order_of_bodies():
     assert order_of_bodies(3, [(0, 1), (1, 2)]) == [2, 1, 0]
     assert order_of_bodies(2, []) == [0, 1]
-    assert find_circle([(0, 1), (1, 2), (0, 2)]) == []
-    assert find_circle([(3, 0), (0, 1), (1, 2), (2, 0), (2, 4)]) == [(0, 1), (1, 2), (2, 0)]
-    assert find_circle([(0, 0)]) == [(0, 0)]
+    assert order_of_bodies(3, [(0, 1), (1, 2), (0, 2)]) == [2, 1, 0]
+    with pytest.raises(CycleError) as caught:
+        order_of_bodies(5, [(3, 0), (0, 1), (1, 2), (2, 0), (2, 4)])
+    circle = caught.value.args[1]
+    assert sorted(circle[1:]) == [0, 1, 2] and circle[0] == circle[-1]
+    assert all(pair in [(1, 0), (2, 1), (0, 2)] for pair in pairwise(circle))
+    with pytest.raises(CycleError):
+        order_of_bodies(1, [(0, 0)])
 
 
 @pytest.mark.ranks(2, turned=[(2,)])
