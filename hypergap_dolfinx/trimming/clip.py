@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Facing pieces that overlap in part, cut to their common part."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +17,7 @@ from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
 from hypergap_dolfinx.trimming.outlines import Meetings, Rim, Shared, locate, meetings
-from hypergap_dolfinx.trimming.subdivision import Cut
+from hypergap_dolfinx.trimming.subdivision import Corner, Cut
 from hypergap_dolfinx.trimming.tolerances import CORNER_OUTLINE, NEARLY, OFF_OUTLINES, SNAP
 
 
@@ -78,8 +79,16 @@ def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
     )
 
 
-def _meet(cuts: list[Cut], shared: Shared) -> tuple[dict[int, int], dict[int, int]]:
-    """Make nodes where the outlines meet; for each side, its node at each node of the other."""
+def _meet(
+    cuts: list[Cut], shared: Shared, corners: Sequence[Corner]
+) -> tuple[dict[int, int], dict[int, int]]:
+    """Make nodes where the outlines meet; for each side, its node at each node of the other.
+
+    Args:
+        cuts: The pieces.
+        shared: What both outlines have in common.
+        corners: Corners of either that lie on the other one.
+    """
     twins: tuple[dict[int, int], dict[int, int]] = {}, {}
 
     def join(nodes):
@@ -87,6 +96,8 @@ def _meet(cuts: list[Cut], shared: Shared) -> tuple[dict[int, int], dict[int, in
 
     for k in shared.ends:
         join([cut.put(float(at[k])) for cut, at in zip(cuts, shared.at, strict=True)])
+    for corner in corners:
+        join([cut.on_edge(*place) for cut, place in zip(cuts, corner, strict=True)])
     for cut in cuts:
         cut.bend()
     (places0, edges0), (places1, edges1) = (cut.edges() for cut in cuts)
@@ -167,11 +178,18 @@ def clip(
     corner = CORNER_OUTLINE if of_one_curve else 0.0
     shared = Shared(rims, snap / length[:, 1].max(), 0.0, corner)
     sides = side0.in_halves(), side1.in_halves()
-    cuts = [Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1)]
-    twins = _meet(cuts, shared)
-    outlines = [cut.outline() for cut in cuts]
-    for i in (0, 1):
-        cuts[i].follow(cuts[1 - i], outlines[i], outlines[1 - i], twins[i])
+    corners: list[Corner] = []
+    is_drawn = False
+    while not is_drawn:
+        cuts = [Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1)]
+        twins = _meet(cuts, shared, corners)
+        outlines = [cut.outline() for cut in cuts]
+        for i in (0, 1):
+            corner = cuts[i].follow(cuts[1 - i], outlines[i], outlines[1 - i], twins[i])
+            if corner:
+                corners.append(corner if i == 0 else corner[::-1])
+                break
+        is_drawn = not corner
     kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
     if len(kept) < 2:
         raise NotFacingError(

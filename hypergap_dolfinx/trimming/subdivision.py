@@ -20,6 +20,10 @@ from hypergap_dolfinx.trimming.insertion import Nodes
 from hypergap_dolfinx.trimming.outlines import Edges, Rim, locate
 from hypergap_dolfinx.trimming.tolerances import BLUNT, CHORDS, ROUNDS_BLUNT
 
+Place = tuple[int, int, float]
+"""Vertices of an edge, and a parameter on it."""
+Corner = tuple[Place, Place]
+"""A corner of one outline on the other one: its place on either."""
 IsRun = Callable[[npt.ArrayLike], npt.NDArray[np.bool_]]
 
 
@@ -106,39 +110,34 @@ class Cut(Nodes):
         """Put a segment between two nodes into the triangles that it crosses.
 
         Returns:
-            The nodes along it, and their parameters on it, from 0 to 1.
+            The nodes along it, and their parameters on it, from 0 to 1. Those up to where it leaves
+            the piece, if it does; nothing is drawn then.
         """
-        passed = [(u, 0.0)]
+        passed, triangles, done = [(u, 0.0)], [], 0.0
         start, target = self.flat(u), self.flat(v)
         along = target - start
         square = float(along @ along)
-        triangles = np.array([self.triangles_at(node)[0] for node in (u, v)])
-        across = np.cross(along, self.side.normals[triangles].sum(axis=0))
+        ends = np.array([self.triangles_at(node)[0] for node in (u, v)])
+        across = np.cross(along, self.side.normals[ends].sum(axis=0))
         across /= max(float(np.linalg.norm(across)), 1e-300)
-        done = 0.0
-        for _ in range(len(self.side.triangles) + 2):
+        while u != v:
             near = self.triangles_at(u)
             common = set(near).intersection(self.triangles_at(v))
-            if common:
-                self._join(u, v, min(common))
-                return [*passed, (v, 1.0)]
-            best = None
-            for triangle in near:
-                for progress, step in self._exits(u, triangle, start, along / square, across):
-                    if progress > done and (best is None or progress < best[0]):
-                        best = progress, triangle, step
-            if best is None:
-                break
-            done, triangle, step = best
+            steps: list[tuple] = [(1.0, min(common), (v,))] if common else []
+            for triangle in near if not common else ():
+                exits = self._exits(u, triangle, start, along / square, across)
+                steps += [(progress, triangle, step) for progress, step in exits if progress > done]
+            if not steps:
+                return passed
+            done, triangle, step = min(steps, key=lambda step: step[0])
             w = self.on_edge(*step) if len(step) == 3 else step[0]
             if w != u:
-                self._join(u, w, triangle)
                 passed.append((w, done))
+                triangles.append(triangle)
             u = w
-        raise InterfaceError(
-            f"the outline of the other side can't be drawn on {self.side.surface.name} from "
-            f"{spot(start)} to {spot(target)}: do the surfaces have the same shape there?"
-        )
+        for ((a, _), (b, _)), triangle in zip(pairwise(passed), triangles, strict=True):
+            self._join(a, b, triangle)
+        return passed
 
     def _exits(self, u: int, triangle: int, start, along, across) -> Iterator[tuple]:
         """Exits of a plane from a triangle: progress, and a vertex or an edge with a parameter."""
@@ -163,7 +162,7 @@ class Cut(Nodes):
             self.segments[triangle].append((u, v))
             self.path.append((u, v))
 
-    def follow(self, other: "Cut", outline, others, twins: dict[int, int]):
+    def follow(self, other: "Cut", outline, others, twins: dict[int, int]) -> Corner | None:
         """Draw the parts of the other piece's outline that lie inside.
 
         Args:
@@ -171,6 +170,9 @@ class Cut(Nodes):
             outline: The own outline's loops of edges.
             others: The other piece's.
             twins: Nodes of the own outline at the same place as nodes of the other one.
+
+        Returns:
+            A corner at which a part leaves the piece, if one does: outlines meet there.
         """
         every = [edge for loop in outline for edge in loop]
         self.runs += [edge[4:6] for edge in every if edge[6]]
@@ -178,7 +180,7 @@ class Cut(Nodes):
         chains = [chain for loop in others for chain in _chains(loop[::-1], twins)]
         parts = [pair for chain in chains for pair in chain]
         if not parts:
-            return
+            return None
         (x, n), (y, m) = (other.places([pair[i] for pair in parts]) for i in (0, 1))
         length = np.linalg.norm(x - y, axis=1)
         length[locate(self.side, (x + y) / 2, n + m)[0] < 0] *= -1
@@ -197,13 +199,52 @@ class Cut(Nodes):
         nodes = dict(twins)
         for node, t, w, x in zip(free, triangle.tolist(), weights, place, strict=True):
             nodes[node] = self.in_triangle(t, w) if t >= 0 else self._beside(x)
-        drawn = [
-            (other.part(u, v), self.draw(nodes[u], nodes[v]))
-            for u, v in crossing
-            if nodes[u] != nodes[v]
-        ]
+        drawn = []
+        for u, v in crossing:
+            if nodes[u] != nodes[v]:
+                edge, r0, r1 = other.part(u, v)
+                passed = self.draw(nodes[u], nodes[v])
+                if passed[-1][0] != nodes[v]:
+                    corner, s = self._corner(passed[-1][0], nodes[u], nodes[v], set(twins.values()))
+                    return corner, (*edge[1:], r0 + s * (r1 - r0))
+                drawn.append(((edge, r0, r1), passed))
         if not all(cut.side.is_affine for cut in (self, other)):
             self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
+        return None
+
+    def _corner(self, node: int, u: int, v: int, taken: set[int]) -> tuple[Place, float]:
+        """The outline's corner at which a segment from u to v leaves the piece at a node.
+
+        The outlines pass each other there by less than the surfaces' shapes differ.
+
+        Args:
+            node: The node.
+            u: The segment's first node.
+            v: Its last node.
+            taken: Nodes that aren't taken.
+
+        Returns:
+            Place of the corner on the outline, and its parameter on the segment.
+        """
+        start, target = self.flat(u), self.flat(v)
+        along = target - start
+        at = (node,) if node < self.num_vertices else self.at[node - self.num_vertices]
+        best = np.inf
+        for a, b in (pair for rim in self.rims for pair in rim.ends.tolist()):
+            if len(at) == 2 or len({a, b}.intersection(at)) < min(len(at), 2):
+                continue
+            for c, d in ((a, b), (b, a)):
+                way = self.side.x[c] - start
+                s = float(way @ along / (along @ along))
+                apart = float(np.linalg.norm(way - s * along))
+                if 0 < s < 1 and c not in taken and apart < best:
+                    best, found = apart, ((c, d, 0.0), s)
+        if best < np.inf:
+            return found
+        raise InterfaceError(
+            f"the outline of the other side can't be drawn on {self.side.surface.name} from "
+            f"{spot(start)} to {spot(target)}: do the surfaces have the same shape there?"
+        )
 
     def _beside(self, place) -> int:
         """The node of the own outline that is nearest to a place, which may be new."""
