@@ -159,18 +159,18 @@ class TiedProblem(TiedSystem):
         self._read_couplings(linear=True)
         bodies = zip(self._b_bodies, self._a, self._L, self._bcs, strict=True)
         for i, (b, a, L, bcs) in enumerate(bodies):
-            with b.localForm() as local:
-                local.set(0.0)
-            petsc.assemble_vector(b, L)
-            if bcs:
-                petsc.apply_lifting(b, [a], bcs=[bcs])
-            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            petsc.set_bc(b, bcs)
-            b.array[self._constraints.prescribed[i]] *= self._scales[i]
             g = b.duplicate()
             g.set(0.0)
             petsc.set_bc(g, bcs)
             prescribed.append(g)
+            with b.localForm() as local:
+                local.set(0.0)
+            petsc.assemble_vector(b, L)
+            if bcs and g.norm(PETSc.NormType.INFINITY) != 0:  # NaN is told below
+                petsc.apply_lifting(b, [a], bcs=[bcs])
+            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            held = self._constraints.prescribed[i]
+            b.array[held] = self._scales[i] * g.array_r[held]
         checks.check_finite(self._b_bodies, "the load", self._system.spaces)
         self._constraints.check_coupled([part.array_r for part in prescribed], linear=True)
         self._constraints.check_prescribed(prescribed)

@@ -276,10 +276,12 @@ class ConstraintBlocks:
                 continue
             pairs, both = known
             jump, given = tie.nodal_jump(), []
+            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
+            if size == 0 and jump is None:
+                continue
             for i, (part, body, dofs) in enumerate(zip(tie.components, bodies, pairs.dofs)):
                 owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
                 given.append(values_at(tie, i, owned, dofs))
-            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
             at = None
             if jump is not None:
                 side, nodal = jump

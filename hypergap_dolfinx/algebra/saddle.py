@@ -107,16 +107,24 @@ class Errors:
         """
         self._A, self._num_ties = A, num_ties
         self._state: int | None = None
-        self._sizes: list[dict[int, float]] = []
+        self._sizes: npt.NDArray[np.float64] = np.zeros((0, 0))
+        self._beside: npt.NDArray[np.bool_] = np.zeros((0, 0), dtype=bool)
+        self._units: list[float] = []
         self.norms: tuple[list[float], list[float]] | None = None
         """|b − Ax| and |b| of each row of blocks for the KSP's solution, if they are known."""
 
-    def _measured(self) -> list[dict[int, float]]:
-        """Sizes of the blocks. Collective."""
+    def _measure(self):
+        """Sizes of the blocks, fields that share a row with each, and units. Collective."""
         state = self._A.stateGet()
-        if state != self._state:
-            self._state, self._sizes = state, block_sizes(self._A)
-        return self._sizes
+        if state == self._state:
+            return
+        self._state, sizes = state, block_sizes(self._A)
+        self._units = scales(sizes, self._num_ties)
+        self._sizes = np.zeros((len(sizes), len(sizes)))
+        for i, row in enumerate(sizes):
+            self._sizes[i, list(row)] = list(row.values())
+        has = np.array([[j in row for j in range(len(sizes))] for row in sizes])
+        self._beside = has @ has
 
     def backward(self, x: PETSc.Vec, b: PETSc.Vec) -> float:
         """Largest residual of the rows of blocks, each relative to the size of its terms.
@@ -128,19 +136,19 @@ class Errors:
             x: The solution.
             b: The right-hand side.
         """
-        sizes, lengths = self._measured(), [part.norm() for part in x.getNestSubVecs()]
-        found, self.norms = [0.0], self._residuals(x, b)
-        for i, (row, r, b_i) in enumerate(zip(sizes, *self.norms, strict=True)):
-            beside = max(lengths[k] for j in row for k in sizes[j])
-            size = b_i + BACKWARD * row.get(i, 0.0) * beside
-            size += sum(scale * lengths[j] for j, scale in row.items())
-            found.append(r / size if size else 0.0)
-        return float(np.max(found))
+        self._measure()
+        self.norms = self._residuals(x, b)
+        lengths = np.array([part.norm() for part in x.getNestSubVecs()])
+        beside = np.where(self._beside, lengths, 0).max(axis=1)
+        size = self.norms[1] + BACKWARD * self._sizes.diagonal() * beside + self._sizes @ lengths
+        found = np.divide(self.norms[0], size, out=np.zeros(len(size)), where=size != 0)
+        return float(found.max(initial=0.0))
 
     def residual(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[float, float]:
         """|b − Ax| and |b|, with rows of ties in units of K (forces). Collective."""
-        units, norms = scales(self._measured(), self._num_ties), self.norms or self._residuals(x, b)
-        r, size = (np.linalg.norm(np.multiply(units, part)) for part in norms)
+        self._measure()
+        norms = self.norms or self._residuals(x, b)
+        r, size = (np.linalg.norm(np.multiply(self._units, part)) for part in norms)
         return float(r), float(size)
 
     def _residuals(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[list[float], list[float]]:
