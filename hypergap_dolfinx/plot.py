@@ -35,6 +35,8 @@ from hypergap_dolfinx.tolerances import CLOSED_NORMAL
 _BODY, _EDGE, _SHEAR, _AWAY = "#e8e4da", "#555555", "#1b7837", "#777777"
 _WARM = LinearSegmentedColormap.from_list("warm", ("#fdae61", "#d7301f", "#67000d"))
 """Colours of pressures and tractions, seen on light bodies, from low to high."""
+_SIZE = [1200, 900]
+"""Pixels of a picture."""
 _ARROW = pyvista.Arrow(tip_length=0.35, tip_radius=0.1, shaft_radius=0.03)
 
 
@@ -512,8 +514,7 @@ def _plotter(comm: MPI.Comm, window: bool) -> pyvista.Plotter | None:
         return None
     if not window:
         display.prepare()
-    size = [1200, 900]
-    plotter = pyvista.Plotter(off_screen=not window, window_size=size, lighting="none")
+    plotter = pyvista.Plotter(off_screen=not window, window_size=_SIZE, lighting="none")
     plotter.add_light(pyvista.Light(light_type="headlight"))
     plotter.background_color = pyvista.Color("white")
     return plotter
@@ -560,9 +561,11 @@ def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
         outside.SetInputDataObject(cells)  # faces that no other cell has, with their nodes
         outside.Update()
         faces = pyvista.wrap(outside.GetOutput())
-    finer = vtkDataSetSurfaceFilter()
+    finer, level = vtkDataSetSurfaceFilter(), 3  # each edge in eight, about a triangle a pixel at most
+    while level and faces.n_cells * 4**level > np.prod(_SIZE):
+        level -= 1
     finer.SetInputDataObject(faces)
-    finer.SetNonlinearSubdivisionLevel(3)  # each edge in eight
+    finer.SetNonlinearSubdivisionLevel(level)
     finer.PassThroughCellIdsOn()
     finer.Update()
     return pyvista.wrap(finer.GetOutput()).triangulate()
@@ -570,13 +573,15 @@ def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
 
 def _outlines(skin: pyvista.PolyData) -> pyvista.PolyData:
     """Edges of the faces that triangles subdivide: those of a single triangle of a face."""
-    corners = skin.faces.reshape(-1, 4)[:, 1:]
-    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
-    face = np.repeat(skin["vtkOriginalCellIds"], 3)
-    keyed, count = np.unique(
-        np.column_stack((face, edges.reshape(-1, 2))), axis=0, return_counts=True
-    )
-    ends = np.unique(keyed[count == 1, 1:], axis=0)
+    corners = skin.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
+    one, other = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    key = np.minimum(one, other) * skin.n_points + np.maximum(one, other)
+    order = np.argsort(key)
+    key, face = key[order], np.repeat(skin["vtkOriginalCellIds"], 3)[order]
+    starts = np.flatnonzero(np.append(True, key[1:] != key[:-1])) if len(key) else order
+    alone = np.diff(np.append(starts, len(key))) == 1
+    between = np.minimum.reduceat(face, starts) != np.maximum.reduceat(face, starts)
+    ends = np.stack(np.divmod(key[starts[alone | between]], skin.n_points), axis=1)
     return pyvista.PolyData(skin.points, lines=np.insert(ends, 0, 2, axis=1))
 
 

@@ -269,6 +269,9 @@ class ConstraintBlocks:
         for t, (tie, bodies) in enumerate(zip(self._ties, self.sides, strict=True)):
             if tie.closes_gap or tie.gives_way is not None:
                 continue
+            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
+            if size == 0 and tie.nodal_jump() is None:
+                continue
             if t not in self._pairs:
                 self._pairs[t] = self._both_prescribed(t)
             known = self._pairs[t]
@@ -276,9 +279,6 @@ class ConstraintBlocks:
                 continue
             pairs, both = known
             jump, given = tie.nodal_jump(), []
-            size = max(values[body].norm(PETSc.NormType.INFINITY) for body in set(bodies))
-            if size == 0 and jump is None:
-                continue
             for i, (part, body, dofs) in enumerate(zip(tie.components, bodies, pairs.dofs)):
                 owned = part.of_body(values[body].array_r).reshape(-1, tie.block_size)
                 given.append(values_at(tie, i, owned, dofs))

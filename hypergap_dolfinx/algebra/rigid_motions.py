@@ -134,6 +134,8 @@ def free_motions(
         alone.append(rigid_modes(part.space, nothing, *numbered, at))
     hindrance = Hindrance(fields, K, constraints, alone)
     all_rows = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
+    if not len(hindrance.unhindered([~rows for rows in all_rows])):
+        return 0  # each body is held by itself
     groups, apart = tied_groups(fields, in_part, x, constraints)
     together = []
     for g in range(max(int(group.max()) for group in groups) + 1):

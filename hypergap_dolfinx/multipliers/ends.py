@@ -75,7 +75,8 @@ def find_ends(numbering: Numbering, users, mine, smooth: SmoothPieces) -> Ends:
         mine: Ties that have each of these as one multiplier.
         smooth: Smooth pieces.
     """
-    ends, bodies = Ends(), list(map(numbering.pair, range(len(numbering.ties))))
+    ends = Ends()
+    bodies = list(map(numbering.pair, range(len(numbering.ties)))) if users else []
     for m, others in users.items():
         t, x = numbering.tie[m], numbering.x([m])[0]
         for s, side in sorted(others):

@@ -136,6 +136,8 @@ class Numbering:
         (:meth:`users`): those that would lose the largest share are kept first. Multipliers at ends
         count as far as Σ reaches their facets.
         """
+        if not users:  # no multiplier to lose
+            return np.zeros(len(self.ties), dtype=bool)
         lost = np.zeros(len(self.ties))
         for m, others in users.items():
             if any(side == 0 for _, side in others):

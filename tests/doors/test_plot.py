@@ -36,6 +36,18 @@ def test_curved_cells(cell, num_edges):
     assert lines.n_cells == num_edges * 8
 
 
+def test_no_more_triangles_than_pixels(monkeypatch):
+    """Cells of degree 2 are cut into fewer where they are many."""
+    from hypergap_dolfinx import plot
+
+    mesh, _ = meshes.block(MPI.COMM_SELF, (4, 4), lambda s: s, cell="triangle", degree=2)
+    for pixels, level in ((40, 2), (45, 2), (46, 3), (4, 0)):
+        monkeypatch.setattr(plot, "_SIZE", [pixels, pixels])
+        skin = plot._skin(plot.grid(mesh))
+        assert skin.n_cells == 32 * 4**level
+        assert plot._outlines(skin).n_cells == (2 * 4 * 5 + 16) * 2**level
+
+
 def test_values_of_cells():
     """A function that is constant in cells."""
     from dolfinx.mesh import create_unit_square

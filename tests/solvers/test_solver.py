@@ -18,7 +18,9 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx.fem import petsc
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
+from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.solvers import choice
 from hypergap_dolfinx.solvers.bodywise import order_of_bodies
 
@@ -497,6 +499,36 @@ def test_a_step_solves_once(monkeypatch):
     assert factors == 0 and solves > 2
     for u, values in zip(problem.u, exact, strict=True):
         np.testing.assert_allclose(u.x.array, values, atol=1e-13 * np.abs(values).max(initial=0))
+
+
+@two_ranks()
+def test_a_step_has_no_idle_work(monkeypatch):
+    """One residual, and no lifting of prescribed displacements that are all zero."""
+    a, L, bcs, ties = pile(2)
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+    problem.solve()
+    done = []
+
+    def counted(owner, name):
+        function = getattr(owner, name)
+
+        def call(*args, **options):
+            done.append(name)
+            return function(*args, **options)
+
+        monkeypatch.setattr(owner, name, call)
+
+    counted(petsc, "apply_lifting")
+    counted(saddle.Errors, "_residuals")
+    for value, wanted in ((0.0, 1), (0.1, 2), (0.0, 1)):
+        bcs[0].g.x.array[:] = default_scalar_type(value)
+        done.clear()
+        problem.assemble_vector()
+        problem.solve_system()
+        assert len(done) == wanted
+        again = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
+        again.solve()
+        assert difference(problem, again) <= 1e-13
 
 
 @two_ranks()
