@@ -561,8 +561,8 @@ def _skin(cells: pyvista.UnstructuredGrid) -> pyvista.PolyData:
         outside.SetInputDataObject(cells)  # faces that no other cell has, with their nodes
         outside.Update()
         faces = pyvista.wrap(outside.GetOutput())
-    finer, level = vtkDataSetSurfaceFilter(), 3  # each edge in eight, about a triangle a pixel at most
-    while level and faces.n_cells * 4**level > np.prod(_SIZE):
+    finer, level = vtkDataSetSurfaceFilter(), 3  # each edge in eight
+    while level and faces.n_cells * 4**level > np.prod(_SIZE):  # not one a pixel
         level -= 1
     finer.SetInputDataObject(faces)
     finer.SetNonlinearSubdivisionLevel(level)
