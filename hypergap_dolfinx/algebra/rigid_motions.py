@@ -91,6 +91,12 @@ def orthonormal(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> npt.NDArray[np.fl
     return R @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
+def independent(comm: MPI.Comm, R: npt.NDArray[np.float64]) -> bool:
+    """True if columns of about unit length, with rows on all ranks, are independent. Collective."""
+    values = np.linalg.eigvalsh(comm.allreduce(R.T @ R))
+    return bool(values.min(initial=np.inf) > DEPENDENT**2)
+
+
 def mean(comm: MPI.Comm, x: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
     """Mean of positions on all ranks. Collective."""
     total = sum(part.sum(axis=0) for part in x)
@@ -132,10 +138,11 @@ def free_motions(
     for (i, part), numbered, at in zip(fields, in_part, x, strict=True):
         nothing = np.zeros_like(part.of_body(constraints.prescribed[i]))
         alone.append(rigid_modes(part.space, nothing, *numbered, at))
+    held = [part.of_body(constraints.prescribed[i]) for i, part in fields]
+    if all(independent(comm, R[mask]) for R, mask in zip(alone, held, strict=True)):
+        return 0  # each is held by what is prescribed on it
     hindrance = Hindrance(fields, K, constraints, alone)
     all_rows = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
-    if not len(hindrance.unhindered([~rows for rows in all_rows])):
-        return 0  # each body is held by itself
     groups, apart = tied_groups(fields, in_part, x, constraints)
     together = []
     for g in range(max(int(group.max()) for group in groups) + 1):

@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx.fem import IntegralType
 from dolfinx.fem.forms import CompiledForm, get_integration_domains
+from hypergap_dolfinx.core.compat import VERSION
 
 _COMPILED: dict[tuple[str, str], dict[str, Any]] = {}
 """What this process has compiled or found in DOLFINx's cache, by signature and options of forms."""
@@ -54,7 +55,8 @@ def _created(form, body: mesh.Mesh, compiler_options=None, jit_options=None) -> 
         _COMPILED[key] = {name: found[name] for name in found if name != "ufl_form"}  # has a mesh
     compiled = CompiledForm(ufl_form=form, **_COMPILED[key])
     subdomains = _subdomains(form)
-    if subdomains is None or compiled.ufcx_form.num_coefficients < len(form.coefficients()):
+    lost = compiled.ufcx_form.num_coefficients < len(form.coefficients())
+    if subdomains is None or (lost and VERSION < (0, 11)):
         # DOLFINx 0.9 takes one function for another where a form doesn't need all of them
         return fem.form(form, PETSc.ScalarType, compiler_options, jit_options)
     functions, constants = ({f: f for f in of} for of in (form.coefficients(), form.constants()))

@@ -599,9 +599,13 @@ def unevenness(domain: GapDomain, sides: Sequence[Side], i: int) -> float:
 
 def _uneven_facets(domain: GapDomain, sides: Sequence[Side]) -> str | None:
     """Γ1's nodes between Γ0's are constrained: deep cells respond with large tractions."""
+    below, above = domain.surfaces
+    bound = UNEVEN * above.element.degree
+    if above.gdim == 2 and below.size.max() <= bound * above.size.min():
+        return None  # an edge's width is its length
     value = unevenness(domain, sides, 1)
     degrees = [surface.element.degree for surface in domain.surfaces]
-    if value <= UNEVEN * degrees[1]:
+    if value <= bound:
         return None
     swap = unevenness(domain, sides, 0) <= UNEVEN * degrees[0]
     advice = "swap the tie's sides" if swap else "refine Γ0 that way, or Γ1's cells across Γ1"

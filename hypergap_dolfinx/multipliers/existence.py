@@ -291,6 +291,8 @@ def _from_compliance(numbering: Numbering, t: int, prescribed) -> tuple[npt.NDAr
 
 def _through(numbers, weights, rows) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
     """Multipliers and weights of a sum; those that have ``rows`` in terms of others."""
+    if not rows:
+        return numbers, weights
     parts = [rows.get(j, (np.array([j]), np.ones(1))) for j in numbers]
     if not parts:
         return np.empty(0, dtype=np.intp), np.empty(0)

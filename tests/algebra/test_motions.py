@@ -13,7 +13,8 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
-from hypergap_dolfinx.algebra.rigid_motions import free_motions
+from hypergap_dolfinx.algebra import rigid_motions
+from hypergap_dolfinx.algebra.rigid_motions import Hindrance, free_motions
 from hypergap_dolfinx.contact_solver.predictor import leading, turns_together
 from meshes import BOTTOM, INNER, LEFT, OUTER, RIGHT, TOP
 
@@ -139,3 +140,26 @@ def test_turns_together():
     assert turns_together(motion(0.1, shift), motion(0.1, 0))
     assert not turns_together(motion(0.1, shift), motion(0.005, 0))
     assert not turns_together(motion(0.1, shift), motion(-0.1, 0))
+
+
+def test_bodies_that_are_held_need_no_forces(monkeypatch):
+    """Of what is prescribed on each all over, neither stiffness nor ties are asked."""
+    bodies = [rectangle((2, 2), (0, i), (1, i + 1)) for i in (0, 1)]
+    tie = Tie(*((body.V, body.facets(tag)) for body, tag in zip(bodies, (TOP, BOTTOM))))
+    asked = []
+
+    class Counted(Hindrance):
+        def __init__(self, *args):
+            asked.append(1)
+            super().__init__(*args)
+
+    monkeypatch.setattr(rigid_motions, "Hindrance", Counted)
+    for sides, wanted in (((LEFT, LEFT), 0), ((BOTTOM, None), 1), ((None, TOP), 1)):
+        bcs = []
+        for body, side in zip(bodies, sides, strict=True):
+            if side is not None:
+                dofs = fem.locate_dofs_topological(body.V, 1, body.facets(side))
+                bcs.append(fem.dirichletbc(np.zeros(2, default_scalar_type), dofs, body.V))
+        asked.clear()
+        TiedProblem([b.a for b in bodies], [None, None], bcs=bcs, ties=[tie]).solve()
+        assert len(asked) == wanted

@@ -12,6 +12,7 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import meshtags
+from hypergap_dolfinx.core.compat import VERSION
 from hypergap_dolfinx.core.forms import create_forms
 
 comm = MPI.COMM_WORLD
@@ -66,8 +67,10 @@ def test_several_tags_of_one_type():
         create_forms([L + ufl.conj(v) * other(meshes.TOP)], None, None)
 
 
-def test_functions_that_a_derivative_loses():
-    """Those that are left are the right ones."""
+def test_functions_that_a_derivative_loses(monkeypatch):
+    """Those that are left are the right ones; DOLFINx 0.9's errors cost later versions nothing."""
+    if VERSION >= (0, 11):
+        monkeypatch.setattr(fem, "form", None)
     forms = []
     for n in (2, 3):
         mesh = meshes.block(comm, (n, n), cell="triangle")[0]
