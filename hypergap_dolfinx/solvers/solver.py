@@ -418,12 +418,13 @@ class Direct(KSPSolver):
 
     def _reads(self) -> bool:
         """True if the KSP factorises first."""
-        before, self._factorised = self._factorised, self._system.A.stateGet()
-        return self._factorised != before
+        return self._system.A.stateGet() != self._factorised
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec):
-        self._errors.norms = None
+        self._errors.norms = self._factorised = None
         saddle.solve(self._ksp, b, x)
+        if self._ksp.getConvergedReason() > 0:
+            self._factorised = self._system.A.stateGet()
         if not self._refines:
             return
         last, error = np.inf, self._errors.backward(x, b)
