@@ -99,8 +99,9 @@ class TiedProblem(TiedSystem):
                 iterates over the ties. ``"iterative"`` is conjugate gradients with algebraic
                 multigrid, for symmetric positive definite forms on large meshes, best of degree 1.
                 The default for large bodies in 3D is ``"bodies"``, or ``"iterative"`` where ties
-                don't let bodies be solved one after the other, else it is ``"direct"``. It falls
-                back to ``"direct"`` if it fails or takes more than 100 iterations with one matrix;
+                don't let bodies be solved one after the other, or a body is held by Γ0 alone, else
+                it is ``"direct"``. It falls back to ``"direct"`` if it fails or takes more
+                iterations with one matrix (40 and 100) than its factors are worth;
                 :attr:`solver_name` says which one is in use. Mixed spaces, free interior nodes,
                 compliances, conductances and couplings need ``"direct"``.
             petsc_options_prefix: Prefix of PETSc options, ending with ``_``.

@@ -9,6 +9,7 @@ these in the same order. An object that the user still refers to survives: PETSc
 """
 
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from copy import copy
@@ -145,3 +146,14 @@ def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = I
     first = next((m for m in comm.allgather(message) if m), None)
     if first:
         raise error(first)
+
+
+def wait_idly(comm: MPI.Comm):
+    """A barrier that leaves the processor to others, for ranks with nothing to do. Collective.
+
+    MPI asks again and again whether all have come, which takes as much time as the work of the one
+    that is waited for. Here the pauses are a hundredth of what has been waited.
+    """
+    request, start = comm.Ibarrier(), time.perf_counter()
+    while not request.Test():
+        time.sleep((time.perf_counter() - start) / 100)

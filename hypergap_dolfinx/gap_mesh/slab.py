@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 import basix
 import basix.ufl
-from hypergap_dolfinx.core.collective import raise_on_all, spot
+from hypergap_dolfinx.core.collective import raise_on_all, spot, wait_idly
 from hypergap_dolfinx.core.compiled import library
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.gap_mesh import front
@@ -337,6 +337,7 @@ def _on_all_ranks(comm: MPI.Comm, surfaces: tuple[Surface, Surface], make) -> li
             ]
         except (InterfaceError, RuntimeError) as e:
             error = e
+    wait_idly(comm)
     kind = comm.bcast(type(error) if error else InterfaceError)
     raise_on_all(comm, str(error) if error else None, kind)
     if comm.size > 1:

@@ -3,9 +3,13 @@
 """Choice of the solver: by name, or by the system if none is named."""
 
 import logging
+from typing import ClassVar
 
 from petsc4py import PETSc
 
+import numpy as np
+
+from hypergap_dolfinx.algebra.checks import name_of_body
 from hypergap_dolfinx.solvers.bodywise import Bodies
 from hypergap_dolfinx.solvers.multigrid import Multigrid
 from hypergap_dolfinx.solvers.solver import (
@@ -16,7 +20,7 @@ from hypergap_dolfinx.solvers.solver import (
     System,
     names_types,
 )
-from hypergap_dolfinx.solvers.tolerances import BUDGET, LARGE_CIRCLE, LARGE_SYSTEM
+from hypergap_dolfinx.solvers.tolerances import BUDGET, BUDGET_BODIES, LARGE_SYSTEM
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -45,7 +49,7 @@ def create(
         first, why = default(system)
         if system.A.comm.rank == 0:
             LOG.info('the default solver is "%s": %s', first.name, why)
-        if first is Direct:
+        if issubclass(first, Direct):
             return Direct(system, prefix, options)
         return FallingBack(system, first, prefix, options)
     if solver not in SOLVERS:
@@ -57,28 +61,61 @@ def create(
     return (DirectStep if newton and cls is Direct else cls)(system, prefix, options)
 
 
-class Budgeted(Multigrid):
+class BudgetedBodies(Bodies):
+    """``"bodies"`` as a default: where it converges in few iterations."""
+
+    BUDGET: ClassVar[int] = BUDGET_BODIES
+    OPTIONS = {**Bodies.OPTIONS, "ksp_max_it": BUDGET}  # noqa: RUF012
+
+    @classmethod
+    def why_not(cls, system: System) -> str | None:
+        """Reason why not, or None: rigid motions that only multipliers hold are slow. Collective.
+
+        Γ1's displacements hold a body in a step, prescribed ones always; springs in its place are
+        far softer than the tie.
+        """
+        reason = super().why_not(system)
+        if reason:
+            return reason
+        constraints, spaces = system.constraints, system.spaces
+        held = [mask.any() for mask in constraints.prescribed]
+        held = spaces[0].mesh.comm.allreduce(np.array(held, dtype=int))
+        held[[i1 for _, i1 in constraints.bodies]] = 1
+        if held.all():
+            return None
+        body = int(held.argmin())
+        name = name_of_body(body, spaces[body])
+        return f"{name} has neither Γ1 nor prescribed values, which takes many iterations"
+
+
+class BudgetedMultigrid(Multigrid):
     """Multigrid that takes no more iterations than factors would be worth."""
 
+    BUDGET: ClassVar[int] = BUDGET
     OPTIONS = {**Multigrid.OPTIONS, "ksp_max_it": BUDGET}  # noqa: RUF012
 
 
-def default(system: System) -> tuple[type[KSPSolver], str]:
+Budgeted = BudgetedBodies | BudgetedMultigrid
+"""A solver that is one by default."""
+
+
+def default(system: System) -> tuple[type[Direct] | type[Budgeted], str]:
     """The default solver, and the reason. Collective.
 
     In the plane, and for small bodies, factors of the whole system cost no more than those of the
-    parts and an iteration. In space they soon do: with 56 000 displacements of degree 2 the whole
-    takes 1.4 × 10¹¹ operations, one fused mesh 0.95 × 10¹¹, the bodies 0.3 × 10¹¹. Where there is
-    no order of the bodies, multigrid takes less than the whole, from larger bodies on.
+    parts and an iteration. Where the bodies aren't for an iteration, multigrid may be.
     """
     size = sum(K.getSize()[0] for K in system.K)
     if not system.constraints.bodies:
         return Direct, "nothing is tied"
     if system.spaces[0].mesh.topology.dim < 3:
         return Direct, "bodies are in the plane"
+    if size < LARGE_SYSTEM:
+        return Direct, f"{size} unknowns in space, fewer than {LARGE_SYSTEM}"
     reasons = [f"{size} unknowns in space"]
-    for cls, least in ((Bodies, LARGE_SYSTEM), (Budgeted, LARGE_CIRCLE)):
-        reason = f"from {least} on" if size < least else cls.why_not(system)
+    cls: type[Budgeted]
+    for cls in (BudgetedBodies, BudgetedMultigrid):
+        reason = cls.why_not(system)
         if reason is None:
             return cls, "; ".join(reasons)
         reasons.append(f'not "{cls.name}", {reason}')
@@ -88,14 +125,15 @@ def default(system: System) -> tuple[type[KSPSolver], str]:
 class FallingBack(Solver):
     """A solver that is replaced by ``"direct"`` for good, if it fails or factors are cheaper.
 
-    ``"bodies"`` fails if Γ1 is much the stiffer. Multigrid has a number of iterations for each
-    matrix, be it one solve that converges slowly, or the steps of a time loop.
+    Both have a number of iterations for each matrix, be it one solve that converges slowly, or the
+    steps of a time loop.
     """
 
-    def __init__(self, system: System, first: type[KSPSolver], prefix: str, options: dict | None):
+    def __init__(self, system: System, first: type[Budgeted], prefix: str, options: dict | None):
         """Create the first solver, for which alone the user's options are. Collective."""
         self._system, self._prefix = system, prefix
         self._solver: KSPSolver = first(system, prefix, options)
+        self._budget = first.BUDGET
         self._given_up: PETSc.KSP | None = None
         self._state, self._spent = -1, 0  # iterations with A of this state
 
@@ -124,7 +162,7 @@ class FallingBack(Solver):
         state = self._system.A.stateGet()
         if state != self._state:
             self._state, self._spent = state, 0
-        if isinstance(self._solver, Budgeted) and self._spent >= BUDGET:
+        if self._given_up is None and self._spent >= self._budget:
             self._fall_back(f"{self._spent} iterations with one matrix cost as much as its factors")
         self._solver.update()
 

@@ -30,15 +30,18 @@ CONTRAST = 1e4
 """Largest ratio of Γ1's weight to Γ0's beside it.
 Measured: beyond it Π gets lost in round-off."""
 
-LARGE_SYSTEM = 5000
-"""Displacements in 3D from which `"bodies"` is the default.
-Measured: pays from there on."""
+LARGE_SYSTEM = 30000
+"""Displacements in 3D from which bodies are not factorised together by default.
+Measured: boxes in a row, processor seconds of `"bodies"` (and direct), degree 1: 9500 displacements
+0.7 (0.5), 19 000 1.7 (1.4), 33 000 3.5 (2.7), 74 000 6.5 (7.2), 88 000 10.2 (10.6); degree 2:
+26 000 2.9 (2.2), 48 000 6.7 (5.4), with 0.5 to 0.8 of the memory. Of `"iterative"`: 27 000 1.8
+(1.5), 32 000 1.7 (2.1), 88 000 5.6 (10.6); degree 2: 48 000 5.8 (5.4), with a third."""
 
-LARGE_CIRCLE = 30000
-"""Displacements in 3D from which `"iterative"` is the default where `"bodies"` isn't possible.
-Measured: three boxes, processor seconds, degree 1: 17 000 displacements 1.6 (direct 1.7), 27 000
-2.2 (2.9), 42 000 3.3 (6.7), 85 000 8.7 (15.2); degree 2: 44 000 9.5 (9.3), 63 000 12.5 to 15.4
-(14.0 to 15.5), with a third of the memory."""
+BUDGET_BODIES = 40
+"""Iterations of `"bodies"` with one matrix by default, after which all is factorised.
+Measured: with 36 iterations it takes 1.0 to 1.3 times direct's seconds (26 000 to 88 000
+displacements). Two to five boxes in a row take 30 to 45 in two runs of up to 32, a plate with Γ1
+under boxes 70 to 144, or doesn't converge in 120."""
 
 BUDGET = 100
 """Iterations of multigrid with one matrix by default, after which it is factorised.

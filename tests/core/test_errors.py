@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """What goes wrong says so: in one line, which is the same on every rank."""
 
+import time
+
 from mpi4py import MPI
 
 import numpy as np
@@ -21,7 +23,7 @@ from hypergap_dolfinx import (
     TiedProblem,
     find_touching,
 )
-from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.core.collective import spot, wait_idly
 
 pytestmark = pytest.mark.ranks(2)  # the same line on each
 NOTHING = np.empty(0, dtype=np.int32)
@@ -397,3 +399,15 @@ def test_empty_prefix():
     _, a, L, tie = arguments()
     with raises(ValueError, "options prefix"):
         TiedProblem(a, L, ties=[tie], petsc_options_prefix="")
+
+
+def test_waiting_takes_no_processor(monkeypatch):
+    """Who waits for a rank asks about a thousand times in all, not as often as the machine can."""
+    pauses, sleep = [], time.sleep
+    comm.barrier()
+    if comm.rank == 0:
+        sleep(0.3)
+    monkeypatch.setattr(time, "sleep", lambda pause: (pauses.append(pause), sleep(pause)))
+    wait_idly(comm)
+    assert len(pauses) < 3000
+    assert comm.rank == 0 or sum(pauses) > 0.1

@@ -554,13 +554,32 @@ def test_the_default(monkeypatch):
 
 
 @pytest.mark.ranks(2)
+def test_the_default_of_bodies_that_ties_hold(monkeypatch, caplog):
+    """With Γ0 alone a floating body takes "bodies" many iterations: multigrid is the default."""
+    monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
+    iterations = []
+    for flip in (False, True):
+        a, L, bcs, ties = pile(3, flip=flip, stiffness=(1.0, 1.0, 1.0))
+        named = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+        named.solve()
+        iterations.append(named.iterations)
+        with caplog.at_level(logging.INFO):
+            problem = TiedProblem(a, L, bcs=bcs, ties=ties)
+        problem.solve()
+        assert problem.solver_name == ("iterative" if flip else "bodies")
+        assert difference(problem, named) <= 1e-8
+    assert iterations[1] > 1.5 * iterations[0]
+    assert comm.rank or 'not "bodies", body 2 has neither Γ1 nor' in caplog.text
+
+
+@pytest.mark.ranks(2)
 def test_the_default_falls_back(monkeypatch):
     """A much stiffer Γ1 would take hundreds of iterations."""
     monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
     pytest.importorskip("gmsh")
     a, L, bcs, ties = pile(3, stiffness=(1.0, 1e3))
-    options = dict(choice.Bodies.OPTIONS, ksp_max_it=5)
-    monkeypatch.setattr(choice.Bodies, "OPTIONS", options)
+    options = dict(choice.BudgetedBodies.OPTIONS, ksp_max_it=5)
+    monkeypatch.setattr(choice.BudgetedBodies, "OPTIONS", options)
     problem = TiedProblem(a, L, bcs=bcs, ties=ties)
     given_up = problem.solver
     problem.solve()
@@ -613,14 +632,13 @@ def test_the_default_in_circles(monkeypatch, caplog):
     direct.solve()
     assert direct.solver_name == "direct"
     monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
-    monkeypatch.setattr(choice, "LARGE_CIRCLE", 100)
     with caplog.at_level(logging.INFO):
         problem = TiedProblem(*forms, **parts)
     assert comm.rank or re.search('"iterative": .* not "bodies", tie 0 .* a circle', caplog.text)
     problem.solve()
     assert problem.solver_name == "iterative" and problem.iterations > 5
     assert difference(problem, direct) <= 1e-8
-    monkeypatch.setattr(choice, "BUDGET", 2 * problem.iterations)
+    monkeypatch.setattr(problem._solver, "_budget", 2 * problem.iterations)
     for value in (1.0, 2.0, 3.0):  # other matrices: none is solved with often
         modulus.value = value
         problem.solve()
@@ -635,8 +653,9 @@ def test_the_default_in_circles(monkeypatch, caplog):
 @pytest.mark.ranks(2)
 def test_the_default_gives_up(monkeypatch, caplog):
     """Of an iteration that converges slowly it says what to do."""
-    monkeypatch.setattr(choice, "LARGE_CIRCLE", 100)
-    monkeypatch.setattr(choice.Budgeted, "OPTIONS", {**choice.Budgeted.OPTIONS, "ksp_max_it": 3})
+    monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
+    options = dict(choice.BudgetedMultigrid.OPTIONS, ksp_max_it=3)
+    monkeypatch.setattr(choice.BudgetedMultigrid, "OPTIONS", options)
     _, forms, parts = circle()
     problem = TiedProblem(*forms, **parts)
     problem.solve()
