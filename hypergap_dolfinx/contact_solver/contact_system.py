@@ -224,7 +224,8 @@ class ContactSystem(NonlinearSystem):
             if self._comm.rank == 0:
                 LOG.warning(
                     'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
-                    "that is symmetric and positive definite, %s.",
+                    'that is symmetric and positive definite, %s; name solver="direct" to save its '
+                    "iterations, for ratios near 0.5 with mixed spaces (displacement, pressure).",
                     str(error).removesuffix("."),
                     Multigrid.SUITED,
                 )
