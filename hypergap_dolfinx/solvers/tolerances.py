@@ -34,8 +34,8 @@ LARGE_SYSTEM = 30000
 """Displacements in 3D from which bodies are not factorised together by default.
 Measured: boxes in a row, processor seconds of `"bodies"` (and direct), degree 1: 9500 displacements
 0.7 (0.5), 19 000 1.7 (1.4), 33 000 3.5 (2.7), 74 000 6.5 (7.2), 88 000 10.2 (10.6); degree 2:
-26 000 2.9 (2.2), 48 000 6.7 (5.4), with 0.5 to 0.8 of the memory. Of `"iterative"`: 27 000 1.8
-(1.5), 32 000 1.7 (2.1), 88 000 5.6 (10.6); degree 2: 48 000 5.8 (5.4), with a third."""
+26 000 2.9 (2.2), 48 000 6.7 (5.4), with 0.6 to 0.9 of the memory. Of `"iterative"`: 27 000 1.8
+(1.5), 32 000 1.7 (2.1), 88 000 5.6 (10.6); degree 2: 48 000 5.8 (5.4), with 0.2 to 0.5."""
 
 BUDGET_BODIES = 40
 """Iterations of `"bodies"` with one matrix by default, after which all is factorised.
