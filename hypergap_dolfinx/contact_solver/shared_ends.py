@@ -117,24 +117,36 @@ def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
     return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
 
+def _outline(surface: Surface) -> npt.NDArray[np.int32]:
+    """Ends of the boundary's edges, ``(num_edges, 2)``; in the plane vertices, twice each."""
+    start, outline = surface.polygons, surface.is_outline
+    end = start if surface.gdim == 2 else np.roll(start, -1, axis=1)
+    return np.column_stack((start[outline], end[outline]))
+
+
 def _ends(surface: Surface) -> npt.NDArray[np.intp]:
     """Vertices at a surface's boundary."""
-    start, outline = surface.polygons, surface.is_outline
-    if surface.gdim == 2:
-        return np.unique(start[outline])
-    return np.unique((start[outline], np.roll(start, -1, axis=1)[outline]))
+    return np.unique(_outline(surface))
 
 
 def _facing(sides: Ends) -> list[tuple[int, int | None]]:
-    """Ends of Γ1, each with the end of Γ0 at the same place or None."""
+    """Ends of Γ1, each with the nearer end of the edge of Γ0's boundary that is beside it, or None.
+
+    In space nodes lie between each other along an edge that both sides share.
+    """
     surface0, surface1 = sides[0].surface, sides[1].surface
     size = np.zeros(len(surface1.x))
     np.maximum.at(size, surface1.facets, surface1.size[:, None])
-    ends0, found = _ends(surface0), []
+    edges, found = _outline(surface0), []
+    start, way = surface0.x[edges[:, 0]], np.diff(surface0.x[edges], axis=1)[:, 0]
+    square = np.maximum((way**2).sum(axis=1), 1e-300)
     for v in _ends(surface1).tolist():
-        distance = np.linalg.norm(surface0.x[ends0] - surface1.x[v], axis=1)
-        near = len(ends0) > 0 and distance.min() <= SAME_END * size[v]
-        found.append((v, int(ends0[distance.argmin()]) if near else None))
+        off = surface1.x[v] - start
+        share = np.clip((off * way).sum(axis=1) / square, 0, 1)
+        distance = np.linalg.norm(off - share[:, None] * way, axis=1)
+        near = len(edges) > 0 and distance.min() <= SAME_END * size[v]
+        k = distance.argmin() if near else 0
+        found.append((v, int(edges[k, int(share[k] > 0.5)]) if near else None))
     return found
 
 

@@ -12,7 +12,13 @@ from helpers import two_ranks
 import dolfinx
 import meshes
 from dolfinx import default_scalar_type, fem
-from dolfinx.mesh import CellType, GhostMode
+from dolfinx.mesh import (
+    CellType,
+    GhostMode,
+    compute_midpoints,
+    create_box,
+    locate_entities_boundary,
+)
 from hypergap_dolfinx import Contact, ContactProblem, Tie
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 
@@ -75,6 +81,33 @@ class Assembly:
 
 
 @pytest.mark.ranks(sliding=["finite"])
+@two_ranks()
+def test_contact_beside_tie_in_space():
+    """The upper block moves along the tie's edge, at which Γ1 has nodes between those of Γ0."""
+    F, u, bcs, sides = [], [], [], []
+    for low, n in ((-0.5, (6, 5, 1)), (0.0, (4, 3, 1))):
+        far = low if low < 0 else 0.5
+        mesh = create_box(comm, [(-1, -1, low), (1, 1, low + 0.5)], n, CellType.hexahedron)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        ends = [
+            locate_entities_boundary(mesh, 2, lambda x, z=z: np.isclose(x[2], z)) for z in (0, far)
+        ]
+        moved = fem.Constant(mesh, np.zeros(3, dtype=default_scalar_type))
+        bcs.append(fem.dirichletbc(moved, fem.locate_dofs_topological(V, 2, ends[1]), V))
+        x = compute_midpoints(mesh, 2, ends[0])[:, 0]
+        sides.append([(V, ends[0][x < 0]), (V, ends[0][x > 0])])
+        body = Elastic.on(V, (1.0, 1.0))
+        F.append(body.F)
+        u.append(body.u)
+    tie, contact = Tie(sides[1][0], sides[0][0]), Contact(sides[1][1], sides[0][1])
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], ties=[tie])
+    for value in ((0, 0, -0.02), (0.004, 0.002, -0.02)):
+        moved.value[:] = value
+        problem.solve()
+    assert abs(contact.force(problem)[2]) == pytest.approx(0.1126, rel=0.015)  # Γ1 the coarser side
+    assert contact.pressures(problem).max() <= 0.062
+
+
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 def test_column_of_contacts_and_ties(sliding):
     """Four bodies between walls, two of which only contact holds: one pressure, exact.
