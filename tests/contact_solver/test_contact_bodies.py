@@ -80,7 +80,6 @@ class Assembly:
         return ContactProblem(self.F, self.u, bcs=self.bcs, contacts=contacts, ties=ties, **options)
 
 
-@pytest.mark.ranks(sliding=["finite"])
 @two_ranks()
 def test_contact_beside_tie_in_space():
     """The upper block moves along the tie's edge, at which Γ1 has nodes between those of Γ0."""
@@ -108,6 +107,7 @@ def test_contact_beside_tie_in_space():
     assert contact.pressures(problem).max() <= 0.062
 
 
+@pytest.mark.ranks(sliding=["finite"])
 @pytest.mark.parametrize("sliding", ("finite", "small"))
 def test_column_of_contacts_and_ties(sliding):
     """Four bodies between walls, two of which only contact holds: one pressure, exact.
