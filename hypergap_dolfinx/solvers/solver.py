@@ -423,8 +423,9 @@ class Direct(KSPSolver):
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec):
         self._errors.norms = self._factorised = None
         saddle.solve(self._ksp, b, x)
-        if self._ksp.getConvergedReason() > 0:
-            self._factorised = self._system.A.stateGet()
+        if self._ksp.getConvergedReason() <= 0:
+            return
+        self._factorised = self._system.A.stateGet()
         if not self._refines:
             return
         last, error = np.inf, self._errors.backward(x, b)
