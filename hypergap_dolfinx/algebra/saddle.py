@@ -75,24 +75,31 @@ def destroy_parts(parts: Iterable[PETSc.Vec]):
 def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
     """Solve; with more workspace if MUMPS runs out of it, as with many pivots. Collective."""
     ksp.solve(b, x)
-    pc = ksp.getPC()
-    if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+    if not _is_short(ksp):
         return
-    database, key = PETSc.Options(), f"{ksp.getOptionsPrefix() or ''}mat_mumps_icntl_14"
+    pc, database = ksp.getPC(), PETSc.Options()
+    key = f"{ksp.getOptionsPrefix() or ''}mat_mumps_icntl_14"
     before = database.getAll().get(key)
     for _ in range(4):  # three times the workspace each time: 100 % to 8100 %
-        factor = pc.getFactorMatrix()
-        if factor.getMumpsInfog(1) not in (-8, -9):
+        if not _is_short(ksp):
             break
-        database[key] = max(100, factor.getMumpsIcntl(14)) * 3
+        database[key] = max(100, pc.getFactorMatrix().getMumpsIcntl(14)) * 3
         operators = ksp.getOperators()
         pc.reset()
         ksp.setOperators(*operators)
         ksp.solve(b, x)
-    if database.hasName(key):
-        del database[key]
+    del database[key]
     if before is not None:
         database[key] = before
+        database.getString(key)  # so that it counts as used, as it was
+
+
+def _is_short(ksp: PETSc.KSP) -> bool:
+    """True if factors of MUMPS have run out of workspace."""
+    pc = ksp.getPC()
+    if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+        return False
+    return pc.getFactorMatrix().getMumpsInfog(1) in (-8, -9)
 
 
 class Errors:
@@ -139,6 +146,8 @@ class Errors:
         self._measure()
         self.norms = self._residuals(x, b)
         lengths = np.array([part.norm() for part in x.getNestSubVecs()])
+        if not np.isfinite(lengths).all():
+            return np.inf
         beside = np.where(self._beside, lengths, 0).max(axis=1)
         size = self.norms[1] + BACKWARD * self._sizes.diagonal() * beside + self._sizes @ lengths
         found = np.divide(self.norms[0], size, out=np.zeros(len(size)), where=size != 0)

@@ -386,9 +386,9 @@ class Direct(KSPSolver):
 
     name = "direct"
     OPTIONS = {  # noqa: RUF012
-        "ksp_type": "richardson",  # the factors once; again where they lose digits
+        "ksp_type": "richardson",  # the factors, and steps of refinement where they lose digits
         "ksp_norm_type": "none",
-        "ksp_max_it": 1,
+        "ksp_max_it": 5,
         "pc_type": "lu",
         "pc_factor_mat_solver_type": "mumps",
         "mat_mumps_cntl_1": 0.1,  # pivots: with 0.01 twice as many solutions need refinement
@@ -400,12 +400,7 @@ class Direct(KSPSolver):
     )
     REPLACEABLE = True
     _factorised: int | None = None  # state of A
-
-    def __init__(self, system: System, prefix: str, options: dict | None = None):
-        """Create the KSP, by default with refinement up to round-off. Collective."""
-        super().__init__(system, prefix, options)
-        kind = self._ksp.getType(), self._ksp.getPC().getType(), self._ksp.getNormType()
-        self._refines = kind == ("richardson", "lu", PETSc.KSP.NormType.NONE)
+    _steps = 0
 
     @classmethod
     def defaults(cls, system: System) -> dict[str, Any]:
@@ -420,19 +415,37 @@ class Direct(KSPSolver):
         """True if the KSP factorises first."""
         return self._system.A.stateGet() != self._factorised
 
+    @property
+    def iterations(self) -> int:
+        """Number of iterations of the last solve, with those that refine."""
+        return self._steps
+
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec):
-        self._errors.norms = self._factorised = None
-        saddle.solve(self._ksp, b, x)
-        if self._ksp.getConvergedReason() <= 0:
-            return
-        self._factorised = self._system.A.stateGet()
-        if not self._refines:
-            return
+        ksp, self._errors.norms, self._factorised = self._ksp, None, None
+        kind = ksp.getType(), ksp.getPC().getType(), ksp.getNormType()
+        refines = kind == ("richardson", "lu", PETSc.KSP.NormType.NONE)
+        most, guess = ksp.max_it, ksp.getInitialGuessNonzero()
+        if refines:  # one by one, since PETSc computes a residual of its own before another one
+            ksp.max_it = min(most, 1)
+            ksp.setInitialGuessNonzero(False)  # a poor one would only cost digits
+        try:
+            saddle.solve(ksp, b, x)
+            self._steps = ksp.getIterationNumber()
+            if ksp.getConvergedReason() > 0:
+                self._factorised = self._system.A.stateGet()
+                if refines:
+                    self._refine(b, x, most)
+        finally:
+            ksp.max_it = most
+            ksp.setInitialGuessNonzero(guess)
+
+    def _refine(self, b: PETSc.Vec, x: PETSc.Vec, most: int):
+        """Refine a solution until its error is round-off, or stays as it is. Collective."""
         last, error = np.inf, self._errors.backward(x, b)
-        while REFINED < error < last / 2:
+        while REFINED < error < last / 2 and self._steps < most:
             self._ksp.setInitialGuessNonzero(True)
             self._ksp.solve(b, x)
-            self._ksp.setInitialGuessNonzero(False)
+            self._steps += 1
             last, error = error, self._errors.backward(x, b)
 
     def as_ksp(self, prefix: str) -> PETSc.KSP:

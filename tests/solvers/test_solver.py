@@ -140,6 +140,34 @@ def test_residual_of_the_saddle_system():
     assert residual(problem) <= 1e-11  # the iteration ends at 1e-13, of another norm
 
 
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize(
+    "options, steps",
+    (
+        ({}, 2),
+        ({"ksp_max_it": 1, "mat_mumps_icntl_14": 50}, 1),  # without refinement
+        ({"ksp_max_it": 3}, 2),  # what isn't needed isn't done
+        ({"ksp_initial_guess_nonzero": True}, 2),  # which factors don't need
+        ({"ksp_norm_type": "unpreconditioned", "ksp_rtol": 1e-9}, 2),
+    ),
+)
+def test_steps_of_refinement(options, steps, caplog):
+    a, L, bcs, ties = pile(3, stiffness=(1e6, 1.0, 1e4))
+    options = {"mat_mumps_cntl_1": 1e-4, **options}  # few pivots: 3e-13
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct", petsc_options=options)
+    problem.assemble_matrix()
+    for _ in range(2):  # with the same factors
+        problem.assemble_vector()
+        problem.solve_system()
+        assert problem.iterations == steps
+        assert (saddle.Errors(problem.A, len(ties)).backward(problem.x, problem.b) > 1e-15) == (
+            steps == 1
+        )
+    assert problem.solver.max_it == options.get("ksp_max_it", 5)
+    guess = "ksp_initial_guess_nonzero" in options
+    assert problem.solver.getInitialGuessNonzero() == guess and "misspelt" not in caplog.text
+
+
 def iterations(solver, contrasts, **options):
     its = []
     for contrast in contrasts:
