@@ -47,10 +47,10 @@ else:
     settings.register_profile("ranks", derandomize=True, database=None, deadline=None)
     settings.load_profile("ranks")
 
-# To compile takes longer than what is compiled. Processes that need the same form wait for one
-# another (pytest-xdist)
+# Compiled with -O0, tests of many or large cells take half as long again; with -O2 compiling takes
+# a third longer. Processes that need the same form wait for one another (pytest-xdist)
 dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS.update(
-    cffi_extra_compile_args=(["-O0", "-g0"], "tests"), timeout=(TIMEOUT, "tests")
+    cffi_extra_compile_args=(["-O1", "-g0"], "tests"), timeout=(TIMEOUT, "tests")
 )
 # setuptools looks six times through all that is installed for each kernel: a fifth of its time
 importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)

@@ -15,7 +15,6 @@ import pytest
 from helpers import sweep, thorough
 
 from dolfinx import default_scalar_type
-from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
 
 comm = MPI.COMM_WORLD
 FOLDER = Path(__file__).parents[2] / "demos"
@@ -502,9 +501,6 @@ def test_demo(name, tmp_path, monkeypatch, capfd):
     if demo.pictures:
         arguments += ["--plot", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", [name, *arguments])
-    if name in LONG:  # a kernel that is called often: half the time
-        options = (["-O1", "-g0"], "test_demo")
-        monkeypatch.setitem(DOLFINX_DEFAULT_JIT_OPTIONS, "cffi_extra_compile_args", options)
     status = 0
     try:
         runpy.run_path(str(FOLDER / f"{demo.script or name}.py"), run_name="__main__")
