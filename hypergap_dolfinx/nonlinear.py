@@ -253,6 +253,11 @@ class NonlinearTiedProblem(NonlinearSystem):
         )
 
     @property
+    def iterations(self) -> int:
+        """Number of Newton steps in the last :meth:`solve`."""
+        return self._snes.getIterationNumber()
+
+    @property
     def solver(self) -> PETSc.SNES:
         """The SNES."""
         return self._snes

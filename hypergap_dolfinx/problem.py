@@ -205,8 +205,11 @@ class TiedProblem(TiedSystem):
             The solution of each body, the same functions as in ``u``.
 
         Raises:
+            ValueError: The matrix was never assembled.
             SolveError: The solver failed; the message says how.
         """
+        if not self._A.isAssembled():
+            raise ValueError("A isn't assembled: call assemble_matrix() before solve_system().")
         self._check_motions()
         self._solved = False
         self._solver.update()

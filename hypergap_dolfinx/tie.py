@@ -118,8 +118,8 @@ class Tie(Settable, collective.Owner):
                 that adjusts first.
             close_gap: True for a constraint on positions instead of displacements. It closes gaps
                 and overlaps, as in an interference fit. Between curved surfaces with straight edges
-                these include the gaps of the two polygons: use curved cells, or prescribe the
-                interference as a ``jump``.
+                these include the gaps of the two polygons (a warning tells of them): use curved
+                cells, with spaces of any degree, or prescribe the interference as a ``jump``.
             jump: Prescribed jump g in u₁ − u₀ = g (a jump of positions with ``close_gap``): a
                 number, an array, a ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable
                 of x as for ``Function.interpolate``. A jump along Σ's normal, from Γ0 to Γ1, opens
@@ -234,7 +234,8 @@ class Tie(Settable, collective.Owner):
         self.adjusts = adjust
         """True if Γ1's nodes were moved."""
         moments = V1.value_shape == (V1.mesh.geometry.dim,) and motion is None and not close_gap
-        for doubt in doubts(self._domain, (side0, side1), moments) if self._tells else ():
+        sides = side0, side1
+        for doubt in doubts(self._domain, sides, moments, close_gap) if self._tells else ():
             if comm.rank == 0:
                 LOG.warning(doubt)
         if adjust:
@@ -543,8 +544,8 @@ class Tie(Settable, collective.Owner):
 
     @cached_property
     def _gaping(self) -> npt.NDArray:
-        """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs."""
-        return gaping(self.blocks(), self.components, self.surfaces[0].x[0])
+        """This rank's rows of the gaps between the surfaces."""
+        return gaping(self.blocks(), self.components, self.domain, self.constraint)
 
     def offset(self) -> PETSc.Vec | None:
         """Current right-hand side c of Σ_i B_i u_i = c. Collective.

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
-from hypergap_dolfinx.algebra.tolerances import APART, DEPENDENT, NOTHING
+from hypergap_dolfinx.algebra.tolerances import APART, DEPENDENT, MOVES, NOTHING
 from hypergap_dolfinx.core.graph import components, parts
 from hypergap_dolfinx.core.sparse import (
     absolute,
@@ -114,8 +114,8 @@ def fields_of(spaces: Sequence[fem.FunctionSpace]) -> list[Field]:
 
 def free_motions(
     spaces: Sequence[fem.FunctionSpace], K: Sequence[PETSc.Mat], constraints: ConstraintBlocks
-) -> int:
-    """The number of rigid motions (constants of other fields) that nothing hinders. Collective.
+) -> tuple[int, list[int]]:
+    """Rigid motions (constants of other fields) that nothing hinders. Collective.
 
     Parts of a mesh that aren't connected count as bodies, unless there are many. Bodies that ties
     connect move together if nothing else holds them. If tied surfaces nearly coincide, such a
@@ -127,10 +127,13 @@ def free_motions(
         spaces: Space of each body.
         K: Assembled stiffness of each body.
         constraints: The ties.
+
+    Returns:
+        Their number, and the numbers of the bodies that move.
     """
     fields = fields_of(spaces)
     if not fields:
-        return 0
+        return 0, []
     comm = fields[0][1].space.mesh.comm
     in_part = [parts(part.space) for _, part in fields]
     x = [places(part.space) for _, part in fields]
@@ -140,7 +143,7 @@ def free_motions(
         alone.append(rigid_modes(part.space, nothing, *numbered, at))
     held = [part.of_body(constraints.prescribed[i]) for i, part in fields]
     if all(independent(comm, R[mask]) for R, mask in zip(alone, held, strict=True)):
-        return 0  # each is held by what is prescribed on it
+        return 0, []  # each is held by what is prescribed on it
     hindrance = Hindrance(fields, K, constraints, alone)
     all_rows = [np.ones(_num_rows(row), dtype=bool) for row in constraints.free]
     groups, apart = tied_groups(fields, in_part, x, constraints)
@@ -157,8 +160,13 @@ def free_motions(
         columns = np.concatenate([hindrance.columns[f] for f in moved])
         together[-1][columns] = np.vstack(common)
         together[-1] = orthonormal(MPI.COMM_SELF, together[-1])
-    free = hindrance.unhindered(all_rows), hindrance.unhindered(apart, np.hstack(together))
-    return max(map(len, free))
+    joint = np.hstack(together)
+    free = hindrance.unhindered(all_rows), hindrance.unhindered(apart, joint) @ joint.T
+    found = max(free, key=len)
+    moves = np.linalg.norm(found, axis=0)
+    moves = moves > MOVES * moves.max(initial=0.0)
+    of_fields = zip(fields, hindrance.columns, strict=True)
+    return len(found), sorted({i for (i, _), own in of_fields if moves[own].any()})
 
 
 def _num_rows(row: Sequence[PETSc.Mat | None]) -> int:

@@ -13,8 +13,11 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.core.collective import raise_on_all, spot
+from hypergap_dolfinx.core.compat import coordinate_element
 from hypergap_dolfinx.interface_laws import given_values
-from hypergap_dolfinx.mortar.domain import places_of_dofs
+from hypergap_dolfinx.mortar.constraint import Constraint
+from hypergap_dolfinx.mortar.domain import GapDomain, places_of_dofs
+from hypergap_dolfinx.mortar.quadrature import Samples
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -136,14 +139,27 @@ def _check_number(num: int, wanted: int):
         raise ValueError(f"{num} component{'s'[: num > 1]} given, the space has {wanted}.")
 
 
-def gaping(B: Sequence[PETSc.Mat], sides: Sequence[Component], origin: npt.NDArray) -> npt.NDArray:
-    """This rank's rows of Σ_i B_i x_i with the positions x_i of the dofs. Collective.
+def gaping(
+    B: Sequence[PETSc.Mat], sides: Sequence[Component], domain: GapDomain, constraint: Constraint
+) -> npt.NDArray:
+    """This rank's rows of ∫∫ ∂x/∂α · λ dΓ_α dα, the gaps of the surfaces. Collective.
+
+    They are Σ_i B_i x_i with the positions x_i of the dofs, unless a space has a lower degree than
+    its mesh's geometry: then its dofs don't know the surface.
 
     Args:
         B: B₀ and B₁; others are ignored.
         sides: Dofs of V₀ and V₁ among those of their bodies.
-        origin: A point nearby, ``(n,)``, to keep digits far from the origin.
+        domain: Σ.
+        constraint: The constraint on it.
     """
+    spaces = [part.space for part in sides]
+    if any(coordinate_element(V.mesh).degree > V.element.basix_element.degree for V in spaces):
+        samples = Samples(domain, constraint)
+        rows = samples.openings().ravel()
+        samples.destroy()
+        return rows
+    origin = domain.surfaces[0].x[0]  # a point nearby, to keep digits far from the origin
     c = B[0].createVecLeft()
     c.set(0.0)
     for part, B_i in zip(sides, B, strict=False):

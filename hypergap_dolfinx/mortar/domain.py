@@ -24,7 +24,14 @@ from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.mortar import kernel
-from hypergap_dolfinx.mortar.tolerances import ACROSS, NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
+from hypergap_dolfinx.mortar.tolerances import (
+    ACROSS,
+    NARROW_CELL,
+    NOUGHT,
+    OWN_GAP,
+    SAG_CURVED,
+    UNEVEN,
+)
 from hypergap_dolfinx.surface.quadrilaterals import on_triangles
 from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, NOISE, SAME_NODE, STRAIGHT
 from hypergap_dolfinx.surface.trace import Surface, facet_pairs, tabulate, thinness
@@ -235,11 +242,11 @@ class GapDomain:
         D = size[..., None] * kernel.alpha_derivatives(element, v)
         return D, np.sign(element.weights)
 
-    def overhang_derivatives(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """∂φ_a/∂α and unit normals at the points of the overhang, without its weights.
+    def overhang_derivatives(self) -> tuple[npt.NDArray[np.float64], ...]:
+        """∂φ_a/∂α, unit normals and ∂x/∂α at the points of the overhang, without its weights.
 
         Returns:
-            ``(num_points, num_nodes)`` and ``(num_points, n)``.
+            ``(num_points, num_nodes)``, and twice ``(num_points, n)``.
         """
         assert self.overhang is not None
         cells, points = self.overhang.cells, self.overhang.X
@@ -250,7 +257,8 @@ class GapDomain:
         x, alpha = self.x[cells], self.alpha_vertices[cells]
         X = np.einsum("pmi,pmj->pij", x - x[:, :1], dpsi)
         N, v = kernel.normal_and_direction(X, alpha[:, 1:] - alpha[:, :1])
-        return np.einsum("paj,pj->pa", dphi, v), N / np.linalg.norm(N, axis=1, keepdims=True)
+        n, gap = N / np.linalg.norm(N, axis=1, keepdims=True), np.einsum("pij,pj->pi", X, v)
+        return np.einsum("paj,pj->pa", dphi, v), n, gap
 
 
 def subtract_squares(W: npt.NDArray[np.float64], points: Overhang, f: npt.NDArray[np.float64]):
@@ -438,19 +446,22 @@ def interpolation_weights(surface: Surface, facet, X, weight, nodes):
     return point, surface.dofs[facet[point], local], values[point, local]
 
 
-def doubts(domain: GapDomain, sides: Sequence[Side], moments: bool) -> list[str]:
+def doubts(
+    domain: GapDomain, sides: Sequence[Side], moments: bool, closes_gap: bool = False
+) -> list[str]:
     """Doubts about an interface, to be settled before results are trusted. Collective.
 
     Args:
         domain: Σ.
         sides: Spaces and this rank's facets of Γ0 and Γ1.
         moments: True for displacements that are tied where the surfaces are.
+        closes_gap: True if positions are tied.
 
     Returns:
         A line for each doubt, the same on every rank.
     """
     found = (
-        _far_apart(domain, moments),
+        _far_apart(domain, moments, closes_gap),
         _made_straight(domain),
         _straight_facets(domain.surfaces),
         _uneven_facets(domain, sides),
@@ -458,7 +469,7 @@ def doubts(domain: GapDomain, sides: Sequence[Side], moments: bool) -> list[str]
     return [line for line in found if line]
 
 
-def _far_apart(domain: GapDomain, moments: bool) -> str | None:
+def _far_apart(domain: GapDomain, moments: bool, closes_gap: bool) -> str | None:
     """Surfaces apart: a wrong tag, moments that don't balance, or chords of a curved surface."""
     apart = domain.distance()
     length = max(surface.size.max(initial=0.0) for surface in domain.surfaces)
@@ -467,6 +478,8 @@ def _far_apart(domain: GapDomain, moments: bool) -> str | None:
             f"Γ0 and Γ1 are {apart:.3g} apart on average, but their longest facet is {length:.3g}: "
             "are tags and units right? They are tied across the gap."
         )
+    if closes_gap:
+        return _gap_of_polygons(domain, apart)
     if apart <= ACROSS * length:
         return None
     if apart <= ACROSS * length + sum(_sag(surface) for surface in domain.surfaces):
@@ -487,6 +500,20 @@ def _far_apart(domain: GapDomain, moments: bool) -> str | None:
     )
 
 
+def _gap_of_polygons(domain: GapDomain, apart: float) -> str | None:
+    """Chords of curved surfaces, whose own gap is closed too: 2/3 of the difference of sags."""
+    sag0, sag1 = (_sags(surface).mean() for surface in domain.surfaces)
+    own = 2 / 3 * abs(sag0 - sag1)
+    if any(s.curved.any() for s in domain.surfaces) or own <= OWN_GAP * apart:
+        return None
+    return (
+        f"Γ0 and Γ1 are {apart:.3g} apart on average, of which about {own:.2g} is the gap between "
+        "chords of a curved surface, and no interference: close_gap closes both, and forces are "
+        "off by that share; curve both meshes (in Gmsh gmsh.model.mesh.setOrder(2)), or give the "
+        "interference as a jump."
+    )
+
+
 def _made_straight(domain: GapDomain) -> str | None:
     """Curved cells at the outlines, straight lest they be inverted, that change the tied area."""
     share = domain.excess / domain._extent()[0] if domain.excess else 0.0
@@ -501,13 +528,21 @@ def _made_straight(domain: GapDomain) -> str | None:
 
 
 def _sag(surface: Surface) -> float:
-    """Largest distance of an arc from its chord, by the turns between facets: h/2 tan θ/4."""
+    """Largest distance of an arc from its chord."""
+    return float(_sags(surface).max(initial=0.0))
+
+
+def _sags(surface: Surface) -> npt.NDArray[np.float64]:
+    """Distances of arcs from chords, by the turns between facets that aren't corners: h/2 tan θ/4.
+
+    ``(num_pairs,)``, with a 0 if there are none.
+    """
     one, other = facet_pairs(surface).T
     cosine = np.einsum("pi,pi->p", surface.normals[one], surface.normals[other])
     turn = np.arccos(np.clip(cosine, -1, 1))
     bends = turn < CORNER_ASSEMBLY
     size = np.maximum(surface.size[one], surface.size[other])[bends]
-    return float((size / 2 * np.tan(turn[bends] / 4)).max(initial=0.0))
+    return np.append(size / 2 * np.tan(turn[bends] / 4), [0.0] * (not bends.any()))
 
 
 def _straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:

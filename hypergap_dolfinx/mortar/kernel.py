@@ -124,6 +124,17 @@ class GapElement:
         return T[:, :, a, b]
 
 
+def jacobians(element: GapElement, x):
+    """∂x/∂ξ of cells at an element's points, ``(num_cells, num_points, n, n)``.
+
+    Args:
+        element: The tables.
+        x: Geometry nodes, ``(num_cells, num_geometry_nodes, n)``.
+    """
+    # From the first node on: derivatives of basis functions add up to zero but for round-off
+    return np.einsum("cmi,pmj->cpij", x - x[:, :1], element.dpsi, optimize=True)
+
+
 def geometry_at_points(element: GapElement, x, alpha):
     """N and v of cells at an element's points.
 
@@ -135,8 +146,7 @@ def geometry_at_points(element: GapElement, x, alpha):
     Returns:
         N and v, ``(num_cells, num_points, n)`` each.
     """
-    # From the first node on: derivatives of basis functions add up to zero but for round-off
-    X = np.einsum("cmi,pmj->cpij", x - x[:, :1], element.dpsi, optimize=True)
+    X = jacobians(element, x)
     dalpha = (alpha[:, 1:] - alpha[:, :1])[:, None]  # (cell, 1, n)
     return normal_and_direction(X, dalpha)
 

@@ -47,7 +47,7 @@ class Samples(collective.Owner):
         self.beyond: tuple[npt.NDArray, npt.NDArray] | None = None
         """Cells and ∂φ_a/∂α of the overhang's points, which are the last ones."""
         if (beyond := domain.overhang) is not None:
-            dphi, normal = domain.overhang_derivatives()
+            dphi, normal, _ = domain.overhang_derivatives()
             self.beyond = beyond.cells, dphi
             root = np.sqrt(np.abs(beyond.weights))
             self.normal = np.vstack((self.normal, normal))
@@ -117,6 +117,14 @@ class Samples(collective.Owner):
         for obj in (weights, D, scaled):
             obj.destroy()
         return product
+
+    def openings(self) -> npt.NDArray:
+        """∫∫ ∂x/∂α ∂φ_A/∂α dΓ_α dα, ``(num_multipliers, n)`` of this rank. Collective."""
+        X = kernel.jacobians(self.element, self.domain.x)
+        gap = np.einsum("cpij,cpj->cpi", X, self.v).reshape(-1, X.shape[-1])
+        if self.beyond is not None:
+            gap = np.vstack((gap, self.domain.overhang_derivatives()[2]))
+        return self.forces(gap)
 
     def values(self, w: npt.NDArray) -> npt.NDArray:
         """Σ_A w_A ∂φ_A/∂α at the points, ``(num_points, block_size)``. Collective.

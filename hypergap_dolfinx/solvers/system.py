@@ -166,7 +166,7 @@ class TiedSystem(collective.Owner):
         """Raise if the assembly can move rigidly; checked once. Collective."""
         if self._motions_known:
             return
-        free = free_motions(self._system.spaces, self._K, self._constraints)
+        free, moving = free_motions(self._system.spaces, self._K, self._constraints)
         if free:
             pressures = " (a pressure at a node, where displacements are prescribed all around)"
             raise SolveError(
@@ -174,7 +174,9 @@ class TiedSystem(collective.Owner):
                 f"{'are' if free > 1 else 'is'} free; hold every "
                 "body, by boundary conditions or by a tie to one that is held"
                 f"{', or a coupling by held=' if self._couplings else ''}"
-                f"{pressures if any(map(is_mixed, self._system.spaces)) else ''}."
+                f"{pressures if any(map(is_mixed, self._system.spaces)) else ''}. "
+                f"{'These move' if len(moving) > 1 else 'This one moves'}: "
+                f"{', '.join(checks.name_of_body(i, self._system.spaces[i]) for i in moving)}."
             )
         self._motions_known = True
 

@@ -305,7 +305,7 @@ def arguments():
 
 SINGULAR = (
     r"^the matrix is singular: 3 rigid motions of the bodies are free; hold every body, by "
-    r"boundary conditions or by a tie to one that is held\.$"
+    r"boundary conditions or by a tie to one that is held\. "
 )
 
 
@@ -324,7 +324,7 @@ def test_free_bodies(n, k):
     a, L = zip(*(elasticity(V) for V, _ in sides), strict=True)
     L = [loaded(form, V) for form, (V, _) in zip(L, sides, strict=True)]
     problem = TiedProblem(a, L, ties=[Tie(*sides)])
-    with raises(SolveError, SINGULAR):
+    with raises(SolveError, SINGULAR + r"These move: body 0, body 1\.$"):
         problem.solve()
 
 
@@ -332,7 +332,7 @@ def test_body_without_a_tie():
     """One body is held, the other one is not tied to it."""
     sides, a, L, _ = arguments()
     problem = TiedProblem(a, [L[0], loaded(L[1], sides[1][0])], bcs=[held(sides[0][0], True)])
-    with raises(SolveError, SINGULAR):
+    with raises(SolveError, SINGULAR + r"This one moves: body 1\.$"):
         problem.solve()
 
 

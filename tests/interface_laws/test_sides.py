@@ -85,14 +85,15 @@ PRESSURE = YOUNG / (1 - NU**2) * (C**2 - A**2) * (B**2 - C**2) / (2 * C**3 * (B*
 EXACT = np.array([-0.290178571429, 0.709821428571, PRESSURE])
 
 
-def press(delta, degree, swap, n=8, *, jump=False, **options):
+def press(delta, degree, swap, n=8, *, jump=False, geometry=None, **options):
     """Radial displacements at the interface and the pressure there, over δ.
 
-    The rings overlap by δ, or fit and have a jump of δ.
+    The rings overlap by δ, or fit and have a jump of δ. Their cells have the spaces' degree, or
+    another one.
     """
     bodies, overlap = [], 0 if jump else delta / 2
     for n_hoop, radii in ((2 * n, (A, C + overlap)), (3 * n, (C - overlap, B))):
-        mesh, ft = meshes.ring_sector(comm, n_hoop, n, *radii, degree=degree)
+        mesh, ft = meshes.ring_sector(comm, n_hoop, n, *radii, degree=geometry or degree)
         V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
         bodies.append(Body(mesh, ft, V, YOUNG, NU))
     sides = [(bodies[0].V, bodies[0].facets(OUTER)), (bodies[1].V, bodies[1].facets(INNER))]
@@ -137,6 +138,26 @@ def test_interference_fit(degree, swap):
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     assert errors[-1] < 1.0 * 0.01 / C
     assert np.abs(rates - 1).max() < 0.05
+
+
+@pytest.mark.ranks(2, swap=[True])
+@pytest.mark.parametrize("swap", (False, True))
+def test_interference_of_curved_cells(swap):
+    """Spaces of degree 1 on curved cells: the surfaces' gap counts, not that between the chords."""
+    error = np.abs(press(0.004, 1, swap, geometry=2) / EXACT - 1).max()
+    print(error)
+    assert error < 0.01  # 0.25 with chords
+
+
+@pytest.mark.parametrize(
+    ("delta", "geometry", "told"), ((0.004, 1, True), (0.1, 1, False), (0.004, 2, False))
+)
+def test_gap_between_chords_is_told(delta, geometry, told, caplog):
+    """It is closed like an interference."""
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        press(delta, 1, False, geometry=geometry)
+    assert len(caplog.records) == told
+    assert ("about 0.00089 is the gap between chords" in caplog.text) == told
 
 
 @pytest.mark.ranks(2, swap=[True], bed=[5e-3])

@@ -328,6 +328,8 @@ def test_assembled_in_any_order(solver):
     """The right-hand side knows the scale of the prescribed rows, before the matrix and after."""
     problem, reference = pulled(1e-6, solver), pulled(1e-6, "direct")
     problem.assemble_vector()
+    with pytest.raises(ValueError, match=r"call assemble_matrix\(\)"):
+        problem.solve_system()
     problem.assemble_matrix()
     problem.solve_system()
     for u, v in zip(problem.u, reference.solve(), strict=True):

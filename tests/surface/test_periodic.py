@@ -343,7 +343,7 @@ def num_free(body, ties):
     problem.assemble_matrix()
     with raises(SolveError, "rigid motion"):
         problem.solve()
-    return free_motions([body.V], problem._K, problem._constraints)
+    return free_motions([body.V], problem._K, problem._constraints)[0]
 
 
 @two_ranks()
