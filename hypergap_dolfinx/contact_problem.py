@@ -32,7 +32,8 @@ from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.records import times
 from hypergap_dolfinx.surface.component import Component, lagrange_components
-from hypergap_dolfinx.surface.trace import is_mixed
+from hypergap_dolfinx.surface.tolerances import OWN_GAP
+from hypergap_dolfinx.surface.trace import gap_of_chords, is_mixed
 from hypergap_dolfinx.tie import Tie
 from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, LEANING, STIFF
 
@@ -349,6 +350,7 @@ class ContactProblem(ContactSystem):
         self._prepare()
         if not self._num_steps:
             self._warn_of_stiffness(self._comm)
+            self._warn_of_chords(self._comm)
         done, size = 0.0, 1.0
         while done < 1:
             before, values = self._state(), [u.x.array.copy() for u in self._set]
@@ -446,11 +448,15 @@ class ContactProblem(ContactSystem):
         """
         self._check_usable()
         self._prepare_once()
-        fresh = [type(rows)(pair, self._held) for rows, pair in zip(self._rows, self._pairs)]
-        for rows, known in zip(fresh, self._rows, strict=True):
-            rows.condensed_to = known.condensed_to
+        fresh = [self._fresh(c) for c in range(len(self._rows))]
         found = [one.geometry.status(rows) for one, rows in zip(self._contacts, fresh, strict=True)]
         return table(found, self._free_in_words([r for r, s in zip(fresh, found) if not s.error]))
+
+    def _fresh(self, c: int) -> ContactRows:
+        """Rows of a contact without its state, for gaps where the bodies are now. Collective."""
+        rows = type(self._rows[c])(self._pairs[c], self._held)
+        rows.condensed_to = self._rows[c].condensed_to
+        return rows
 
     def _free_in_words(self, found_rows: Sequence[ContactRows]) -> list[str]:
         """Messages about bodies that only contact can hold. Collective.
@@ -541,6 +547,24 @@ class ContactProblem(ContactSystem):
                     f"contact {c}: Γ1's body is {'rigid' if j is None else "far stiffer than Γ0's"}"
                     ", with facets that aren't longer; pressures will scatter: swap its sides "
                     "(Contact.between with stiffness does)."
+                )
+
+    def _warn_of_chords(self, comm):
+        """Warn of overlaps that are in part the gap between chords of a curved surface."""
+        for c, contact in enumerate(self._contacts):
+            own = gap_of_chords(*contact.geometry.surfaces)
+            if not own:
+                continue
+            status = contact.geometry.status(self._fresh(c))
+            overlaps = status.gaps[status.gaps < -status.closed]
+            if 2 * len(overlaps) <= status.facing.sum() or own <= -OWN_GAP * overlaps.mean():
+                continue
+            if comm.rank == 0:
+                LOG.warning(
+                    f"contact {c}: its surfaces overlap by {-overlaps.mean():.3g} on average, of "
+                    f"which about {own:.2g} is the gap between chords of a curved surface: "
+                    "pressures are off by that share; curve both meshes (in Gmsh "
+                    "gmsh.model.mesh.setOrder(2)), or take facets as long on both sides."
                 )
 
     def _warn_of_distance(self, comm):

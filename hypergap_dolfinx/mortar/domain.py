@@ -24,17 +24,10 @@ from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.mortar import kernel
-from hypergap_dolfinx.mortar.tolerances import (
-    ACROSS,
-    NARROW_CELL,
-    NOUGHT,
-    OWN_GAP,
-    SAG_CURVED,
-    UNEVEN,
-)
+from hypergap_dolfinx.mortar.tolerances import ACROSS, NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
 from hypergap_dolfinx.surface.quadrilaterals import on_triangles
-from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, NOISE, SAME_NODE, STRAIGHT
-from hypergap_dolfinx.surface.trace import Surface, facet_pairs, tabulate, thinness
+from hypergap_dolfinx.surface.tolerances import NOISE, OWN_GAP, SAME_NODE, STRAIGHT
+from hypergap_dolfinx.surface.trace import Surface, gap_of_chords, sags, tabulate, thinness
 
 Side = tuple[fem.FunctionSpace, npt.ArrayLike]
 
@@ -501,10 +494,9 @@ def _far_apart(domain: GapDomain, moments: bool, closes_gap: bool) -> str | None
 
 
 def _gap_of_polygons(domain: GapDomain, apart: float) -> str | None:
-    """Chords of curved surfaces, whose own gap is closed too: 2/3 of the difference of sags."""
-    sag0, sag1 = (_sags(surface).mean() for surface in domain.surfaces)
-    own = 2 / 3 * abs(sag0 - sag1)
-    if any(s.curved.any() for s in domain.surfaces) or own <= OWN_GAP * apart:
+    """Chords of a curved surface, whose own gap is closed too."""
+    own = gap_of_chords(*domain.surfaces)
+    if own <= OWN_GAP * apart:
         return None
     return (
         f"Γ0 and Γ1 are {apart:.3g} apart on average, of which about {own:.2g} is the gap between "
@@ -529,20 +521,7 @@ def _made_straight(domain: GapDomain) -> str | None:
 
 def _sag(surface: Surface) -> float:
     """Largest distance of an arc from its chord."""
-    return float(_sags(surface).max(initial=0.0))
-
-
-def _sags(surface: Surface) -> npt.NDArray[np.float64]:
-    """Distances of arcs from chords, by the turns between facets that aren't corners: h/2 tan θ/4.
-
-    ``(num_pairs,)``, with a 0 if there are none.
-    """
-    one, other = facet_pairs(surface).T
-    cosine = np.einsum("pi,pi->p", surface.normals[one], surface.normals[other])
-    turn = np.arccos(np.clip(cosine, -1, 1))
-    bends = turn < CORNER_ASSEMBLY
-    size = np.maximum(surface.size[one], surface.size[other])[bends]
-    return np.append(size / 2 * np.tan(turn[bends] / 4), [0.0] * (not bends.any()))
+    return float(sags(surface).max(initial=0.0))
 
 
 def _straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:

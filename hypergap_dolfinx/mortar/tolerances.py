@@ -90,9 +90,3 @@ a/5, 3.6e-3, from 16 on 3.2e-3."""
 STEPS_ROOT = 30
 """Most steps of Levenberg and Marquardt's method for roots.
 Measured: Hertz, edges on nodes: 20 to 31; errors change by less than 1 % from 15 on."""
-
-OWN_GAP = 0.05
-"""Gap between chords of a curved surface, over the distance that is closed, that is told.
-Measured: rings of 16 and 24, 24 and 16, 32 and 48 edges, straight, degree 1: pressures of a
-press-fit are off by 23, 22 and 5 % with shares of .29, .18 and .06, with .05 and less by what an
-overlap so large costs curved cells too, or 4 % more."""

@@ -17,7 +17,13 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import doubles, ints
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.projection import terms
-from hypergap_dolfinx.surface.tolerances import NOISE, SAME_NODE, STRAIGHT
+from hypergap_dolfinx.surface.tolerances import (
+    CORNER_ASSEMBLY,
+    FILE_DIGITS,
+    NOISE,
+    SAME_NODE,
+    STRAIGHT,
+)
 
 
 @dataclass(frozen=True)
@@ -562,6 +568,31 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
     length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=1), axis=2).max(axis=1, initial=0)
     ratios = np.abs(height).max(axis=1, initial=0) / np.where(length > 0, length, 1)
     return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))
+
+
+def sags(surface: Surface) -> npt.NDArray[np.float64]:
+    """Distances of arcs from chords, by the turns between facets that aren't corners: h/2 tan θ/4.
+
+    ``(num_pairs,)``, with a 0 if there are none.
+    """
+    one, other = facet_pairs(surface).T
+    cosine = np.einsum("pi,pi->p", surface.normals[one], surface.normals[other])
+    turn = np.arccos(np.clip(cosine, -1, 1))
+    bends = turn < CORNER_ASSEMBLY
+    size = np.maximum(surface.size[one], surface.size[other])[bends]
+    return np.append(size / 2 * np.tan(turn[bends] / 4), [0.0] * (not bends.any()))
+
+
+def gap_of_chords(surface0: Surface, surface1: Surface) -> float:
+    """Mean gap between polygons around one curved surface, 2/3 of the difference of their sags.
+
+    0 if facets are curved, or if one of the surfaces is flat.
+    """
+    if surface0.curved.any() or surface1.curved.any():
+        return 0.0
+    (sag0, h0), (sag1, h1) = ((sags(s).mean(), s.size.max()) for s in (surface0, surface1))
+    round_ones = sag0 > FILE_DIGITS * h0 and sag1 > FILE_DIGITS * h1
+    return float(2 / 3 * abs(sag0 - sag1)) if round_ones else 0.0
 
 
 def _cell_error(topology, name: str) -> str | None:

@@ -303,3 +303,29 @@ def test_bad_input():
     with raises(ValueError, "is on a space of no body"):
         other = Elastic.on(fem.functionspace(V0.mesh, V0.ufl_element()))
         ContactProblem([other.F], [other.u], contacts=[blocks.contact])
+
+
+@pytest.mark.ranks(2, geometry=[1], delta=[0.004])
+@pytest.mark.parametrize(
+    ("delta", "geometry", "told"), ((0.004, 1, True), (0.1, 1, False), (0.004, 2, False))
+)
+def test_gap_between_chords_is_told(delta, geometry, told, caplog):
+    """A ring pressed into another one: chords add to the overlap, and so to the pressure."""
+    u, F, bcs, sides = [], [], [], []
+    for n, radii, tag in ((16, (1, 2 + delta / 2), meshes.OUTER), (24, (2, 3), meshes.INNER)):
+        mesh, ft = meshes.ring_sector(comm, n, 4, *radii, degree=geometry)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body = Elastic.on(V)
+        u.append(body.u)
+        F.append(body.F)
+        sides.append((V, ft.find(tag)))
+        for edge, component in ((meshes.START, 1), (meshes.END, 0)):
+            W = V.sub(component)
+            dofs = fem.locate_dofs_topological(W, 1, ft.find(edge))
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, W))
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(*sides[::-1])])
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        problem.solve()
+    assert len(caplog.records) == (told and comm.rank == 0)
+    if caplog.records:
+        assert "about 0.00089 is the gap between chords" in caplog.text
