@@ -551,7 +551,8 @@ class ContactSystem(NonlinearSystem):
             return (
                 f"the linearised contact problem has no solution: {self._strays.of(rows.bodies)}, "
                 "that nothing else holds, slides, tips or is drawn away; its load may be more than "
-                "friction can hold."
+                "friction can hold, or Γ1's facets there are too few to hold it: refine them, or "
+                "make that body Γ1."
             )
         if not self._num_free:
             return (
