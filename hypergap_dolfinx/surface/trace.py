@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -570,29 +571,52 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
     return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))
 
 
-def sags(surface: Surface) -> npt.NDArray[np.float64]:
-    """Distances of arcs from chords, by the turns between facets that aren't corners: h/2 tan θ/4.
-
-    ``(num_pairs,)``, with a 0 if there are none.
-    """
-    one, other = facet_pairs(surface).T
-    cosine = np.einsum("pi,pi->p", surface.normals[one], surface.normals[other])
-    turn = np.arccos(np.clip(cosine, -1, 1))
-    bends = turn < CORNER_ASSEMBLY
-    size = np.maximum(surface.size[one], surface.size[other])[bends]
-    return np.append(size / 2 * np.tan(turn[bends] / 4), [0.0] * (not bends.any()))
-
-
 def gap_of_chords(surface0: Surface, surface1: Surface) -> float:
-    """Mean gap between polygons around one curved surface, 2/3 of the difference of their sags.
+    """Mean gap between straight facets around one round surface, by the turns of both sides.
 
-    0 if facets are curved, or if one of the surfaces is flat.
+    0 if one side is flat, or both are curved.
     """
-    if surface0.curved.any() or surface1.curved.any():
-        return 0.0
-    (sag0, h0), (sag1, h1) = ((sags(s).mean(), s.size.max()) for s in (surface0, surface1))
-    round_ones = sag0 > FILE_DIGITS * h0 and sag1 > FILE_DIGITS * h1
-    return float(2 / 3 * abs(sag0 - sag1)) if round_ones else 0.0
+    gap = 0.0
+    for surface in (surface0, surface1):
+        if surface.curved.any():
+            continue
+        off = _off_chords(surface)
+        if np.abs(off).max() <= FILE_DIGITS * surface.size.max():
+            return 0.0
+        gap += np.average(off, weights=surface.size ** (surface.gdim - 1))
+    return abs(float(gap))
+
+
+def _off_chords(surface: Surface) -> npt.NDArray[np.float64]:
+    """Mean distance of each straight facet from a smooth surface through its vertices.
+
+    By the normals there, of which an edge of length h leans from its own by a and b: h/8 (a + b) is
+    a circle's sag. A surface that doesn't turn at both ends, or turns by a corner, is a polygon.
+
+    Returns:
+        Positive where the surface is convex, ``(num_facets,)``.
+    """
+    facets, x = surface.polygons, surface.x
+    normal, share = np.zeros_like(x), surface.normals / surface.size[:, None]
+    for column in facets.T:
+        np.add.at(normal, column, share)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), NOISE)
+    ends, pairs = np.zeros(len(x), dtype=bool), [(0, 1)]
+    if surface.gdim == 2:
+        ends[facets[surface.is_outline]] = True  # where normals are unknown
+    else:
+        pairs = [*pairwise([*range(facets.shape[1]), 0])]
+    total = np.zeros(len(facets))
+    for i, j in pairs:
+        t = x[facets[:, j]] - x[facets[:, i]]
+        h = np.linalg.norm(t, axis=1)
+        a = -np.einsum("fi,fi->f", normal[facets[:, i]], t) / h
+        b = np.einsum("fi,fi->f", normal[facets[:, j]], t) / h
+        a, b = np.where(ends[facets[:, i]], b, a), np.where(ends[facets[:, j]], a, b)
+        least = np.where(np.abs(a) < np.abs(b), a, b)
+        turns = (a * b > 0) & (np.maximum(np.abs(a), np.abs(b)) < np.sin(CORNER_ASSEMBLY / 2))
+        total += np.where(turns, h / 4 * least, 0)
+    return total * (2 / 3 if surface.gdim == 2 else 1 / 3)
 
 
 def _cell_error(topology, name: str) -> str | None:

@@ -245,6 +245,23 @@ def test_chords_of_an_arc_are_not_apart(n, k, g, share, shape, caplog):
         assert f"{share} of a facet: chords of a curved surface" in caplog.text
 
 
+def test_polygons_have_no_chords(caplog):
+    """Surfaces that turn at one vertex alone are no chords of a round one: their gap is theirs."""
+    sides = []
+    for n, shift, tag in ((4, 0.0, meshes.TOP), (6, 0.99, meshes.BOTTOM)):
+
+        def kinked(x, shift=shift):
+            return x + [0, shift] + np.abs(x[:, :1] - 0.5) * [0, 0.3]
+
+        mesh, ft = meshes.block(comm, (n, 2), kinked, cell="triangle")
+        sides.append((fem.functionspace(mesh, ("Lagrange", 1, (2,))), ft.find(tag)))
+    with caplog.at_level(logging.WARNING, "hypergap_dolfinx"):
+        assert Tie(*sides, close_gap=True).domain.distance() == pytest.approx(
+            0.01 / np.hypot(1, 0.3)
+        )
+    assert not caplog.records
+
+
 @pytest.mark.ranks
 def test_distance_in_space(caplog):
     pytest.importorskip("gmsh")
