@@ -234,7 +234,8 @@ def fill_common(side0: Side, side1: Side) -> list[Slab]:
 
     Outlines that are hardly further apart than the tolerance leave edges as short as that, beside
     which the other side's nodes may lie anywhere. If no mesh is found for that reason, such
-    outlines are taken for one: the tolerance grows. The same cuts aren't tried twice.
+    outlines are taken for one: the tolerance grows. At last outlines may meet at vertices that they
+    pass nearby. The same cuts aren't tried twice.
 
     Raises:
         NotFacingError: The pieces have no common part.
@@ -242,10 +243,10 @@ def fill_common(side0: Side, side1: Side) -> list[Slab]:
     """
     first: InterfaceError | None = None
     tried: list[list[tuple[Side, Side]]] = []
-    for of_one_curve, k in product((True, False), range(TRIES)):
+    for at_corners, of_one_curve, k in product((False, True), (True, False), range(TRIES)):
         whole = False
         try:
-            pairs = clip(side0, side1, SNAP * COARSER**k, of_one_curve)
+            pairs = clip(side0, side1, SNAP * COARSER**k, of_one_curve, at_corners)
             whole = pairs[0][0] is side0
             if any(_are_same(pairs, before) for before in tried):
                 continue

@@ -147,7 +147,11 @@ def parts(side: Side) -> list[Side]:
 
 
 def clip(
-    side0: Side, side1: Side, snap: float = SNAP, of_one_curve: bool = True
+    side0: Side,
+    side1: Side,
+    snap: float = SNAP,
+    of_one_curve: bool = True,
+    at_corners: bool = False,
 ) -> list[tuple[Side, Side]]:
     """The common part of two facing pieces: pairs with the same outlines.
 
@@ -158,6 +162,8 @@ def clip(
         of_one_curve: True if outlines count as equal that are polygons of one curve, within the
             uncertainty of the meshes. If False they are cut as they are, which holes with different
             corners may need.
+        at_corners: True if an outline may meet the other one's vertex that it passes by less than
+            the surfaces are apart there.
 
     Returns:
         Pairs of connected pieces; the two themselves if their outlines match.
@@ -185,7 +191,8 @@ def clip(
         twins = _meet(cuts, shared, corners)
         outlines = [cut.outline() for cut in cuts]
         for i in (0, 1):
-            corner = cuts[i].follow(cuts[1 - i], outlines[i], outlines[1 - i], twins[i])
+            outline, other = outlines[i], outlines[1 - i]
+            corner = cuts[i].follow(cuts[1 - i], outline, other, twins[i], at_corners)
             if corner:
                 corners.append(corner if i == 0 else corner[::-1])
                 break

@@ -116,10 +116,7 @@ class Cut(Nodes):
         passed, triangles, done = [(u, 0.0)], [], 0.0
         start, target = self.flat(u), self.flat(v)
         along = target - start
-        square = float(along @ along)
-        ends = np.array([self.triangles_at(node)[0] for node in (u, v)])
-        across = np.cross(along, self.side.normals[ends].sum(axis=0))
-        across /= max(float(np.linalg.norm(across)), 1e-300)
+        square, across = float(along @ along), self._across(u, v)
         while u != v:
             near = self.triangles_at(u)
             common = set(near).intersection(self.triangles_at(v))
@@ -138,6 +135,12 @@ class Cut(Nodes):
         for ((a, _), (b, _)), triangle in zip(pairwise(passed), triangles, strict=True):
             self._join(a, b, triangle)
         return passed
+
+    def _across(self, u: int, v: int) -> npt.NDArray[np.float64]:
+        """Unit normal of the plane in which a segment between two nodes is drawn."""
+        ends = np.array([self.triangles_at(node)[0] for node in (u, v)])
+        across = np.cross(self.flat(v) - self.flat(u), self.side.normals[ends].sum(axis=0))
+        return across / max(float(np.linalg.norm(across)), 1e-300)
 
     def _exits(self, u: int, triangle: int, start, along, across) -> Iterator[tuple]:
         """Exits of a plane from a triangle: progress, and a vertex or an edge with a parameter."""
@@ -162,7 +165,9 @@ class Cut(Nodes):
             self.segments[triangle].append((u, v))
             self.path.append((u, v))
 
-    def follow(self, other: "Cut", outline, others, twins: dict[int, int]) -> Corner | None:
+    def follow(
+        self, other: "Cut", outline, others, twins: dict[int, int], at_corners: bool
+    ) -> Corner | None:
         """Draw the parts of the other piece's outline that lie inside.
 
         Args:
@@ -170,9 +175,14 @@ class Cut(Nodes):
             outline: The own outline's loops of edges.
             others: The other piece's.
             twins: Nodes of the own outline at the same place as nodes of the other one.
+            at_corners: True if outlines may meet at corners that they pass nearby.
 
         Returns:
-            A corner at which a part leaves the piece, if one does: outlines meet there.
+            A corner at which a part leaves the piece, if one does: outlines meet there. Nothing of
+            this part is drawn then.
+
+        Raises:
+            InterfaceError: A part leaves the piece, and not at a corner.
         """
         every = [edge for loop in outline for edge in loop]
         self.runs += [edge[4:6] for edge in every if edge[6]]
@@ -205,41 +215,53 @@ class Cut(Nodes):
                 edge, r0, r1 = other.part(u, v)
                 passed = self.draw(nodes[u], nodes[v])
                 if passed[-1][0] != nodes[v]:
-                    corner, s = self._corner(passed[-1][0], nodes[u], nodes[v], set(twins.values()))
+                    apart = [np.linalg.norm(other.flat(k) - self.flat(nodes[k])) for k in (u, v)]
+                    reach = float(max(apart)) if at_corners else 0.0
+                    ends, taken = (nodes[u], nodes[v]), set(twins.values())
+                    corner, s = self._corner(passed[-1][0], *ends, taken, reach)
                     return corner, (*edge[1:], r0 + s * (r1 - r0))
                 drawn.append(((edge, r0, r1), passed))
         if not all(cut.side.is_affine for cut in (self, other)):
             self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
         return None
 
-    def _corner(self, node: int, u: int, v: int, taken: set[int]) -> tuple[Place, float]:
-        """The outline's corner at which a segment from u to v leaves the piece at a node.
+    def _corner(
+        self, node: int, u: int, v: int, taken: set[int], reach: float
+    ) -> tuple[Place, float]:
+        """The outline's vertex at which a segment from u to v leaves the piece at a node.
 
-        The outlines pass each other there by less than the surfaces' shapes differ.
+        Where two surfaces are a distance apart, seeing one along the other's normals moves outlines
+        by less than that distance: by so much a segment may pass a vertex on the wrong side.
 
         Args:
             node: The node.
             u: The segment's first node.
             v: Its last node.
             taken: Nodes that aren't taken.
+            reach: Distance of the vertex from the plane in which the segment is drawn that isn't
+                reached: the surfaces' distance at u or v, the larger one.
 
         Returns:
-            Place of the corner on the outline, and its parameter on the segment.
+            Place of the vertex nearest to the plane, of the edge or the two edges that the node
+            lies at, and its parameter on the segment.
+
+        Raises:
+            InterfaceError: There is none.
         """
-        start, target = self.flat(u), self.flat(v)
+        start, target, across = self.flat(u), self.flat(v), self._across(u, v)
         along = target - start
         at = (node,) if node < self.num_vertices else self.at[node - self.num_vertices]
-        best = np.inf
+        found = None
         for a, b in (pair for rim in self.rims for pair in rim.ends.tolist()):
             if len(at) == 2 or len({a, b}.intersection(at)) < min(len(at), 2):
                 continue
             for c, d in ((a, b), (b, a)):
                 way = self.side.x[c] - start
                 s = float(way @ along / (along @ along))
-                apart = float(np.linalg.norm(way - s * along))
-                if 0 < s < 1 and c not in taken and apart < best:
-                    best, found = apart, ((c, d, 0.0), s)
-        if best < np.inf:
+                apart = abs(float(way @ across))
+                if 0 < s < 1 and c not in taken and apart < reach:
+                    reach, found = apart, ((c, d, 0.0), s)
+        if found:
             return found
         raise InterfaceError(
             f"the outline of the other side can't be drawn on {self.side.surface.name} from "

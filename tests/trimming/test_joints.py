@@ -13,7 +13,7 @@ from helpers import comm, sweep
 import meshes
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import exterior_facet_indices, meshtags
+from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
 from hypergap_dolfinx import Tie, TiedProblem, find_touching
 from hypergap_dolfinx.core import compat
 
@@ -271,3 +271,24 @@ def test_bent_row_along_an_outline():
 def test_outline_beside_an_inner_corner(swapped):
     """An outline passes the other's inner corner by less than the surfaces are apart: refused."""
     assert area_of_tie(any_assemblies.Scene(122, 3), (4, 6), swapped) < 3e-4
+
+
+@pytest.mark.parametrize("swapped", (False, True))
+def test_outlines_that_meet_at_no_corner(swapped):
+    """Where another attempt finds cells, no outline is moved to a vertex: 1e-4 of the area."""
+    sides = []
+    for i, n in enumerate((8, 6)):
+
+        def bent(x, i=i):
+            x = x + i * np.array((1e-4, -1e-4, 0))
+            z = 0.3 * np.sin(1.5 * x[:, 0] + 0.4) * np.cos(1.05 * x[:, 1])
+            return np.column_stack((x[:, 0], x[:, 1], z + (x[:, 2] - 1 + i) * 0.4))
+
+        mesh, ft = meshes.block(comm, (n, n, 1), bent, cell="tetrahedron")
+        facets = ft.find((meshes.FRONT, meshes.BACK)[i])
+        if i == 0:
+            x, y, _ = compute_midpoints(mesh, 2, facets).T
+            facets = facets[(x < 0.5) | (y < 0.5)]
+        sides.append((fem.functionspace(mesh, ("Lagrange", 1)), facets))
+    q = Tie(*sides[:: -1 if swapped else 1]).quadrature(4)
+    assert abs(abs((q.normal[..., 2] * q.weights).sum()) - 0.74985) < 4e-5
