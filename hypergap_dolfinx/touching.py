@@ -24,6 +24,7 @@ from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, FILE_DIGITS
 from hypergap_dolfinx.surface.trace import lagrange_element
 from hypergap_dolfinx.tolerances import (
     FACING_ANGLE,
+    LEANING_FACETS,
     NEAR_FLAT,
     SEEN,
     TILT,
@@ -128,6 +129,8 @@ class _Facing:
     """Mask of pairs where at least one surface is curved."""
     area: npt.NDArray[np.float64]
     """Common area."""
+    extent: npt.NDArray[np.float64]
+    """Length of its size: in 3D its root."""
 
     @property
     def apart(self) -> npt.NDArray[np.float64]:
@@ -155,7 +158,24 @@ class _Facing:
         np.logical_and.at(whole, region, self.curved)
         one, other = (self.vanishes(side) for side in facets)
         touch = self.curved & (self.vanishes(region) | whole[region])
-        return touch | self.bends & one & other, one | other
+        touch |= self.bends & one & other
+        return touch & ~self._beyond_edges(facets, touch), one | other
+
+    def _beyond_edges(self, facets, touch) -> npt.NDArray[np.bool_]:
+        """Mask of pairs with a facet that leaves those it touches behind an edge.
+
+        Where an edge of a coarse surface counts as curved, the facets beyond it touch along a strip
+        as narrow as the sag. A tie would take them as a whole, up to the other body's facets that
+        they lean away from.
+        """
+        leaning = np.abs(self.apart) > LEANING_FACETS * self.extent
+        for numbers in facets:
+            leaning &= np.isin(numbers, numbers[touch]) & ~touch
+        beyond = np.zeros(len(touch), dtype=bool)
+        for numbers in facets:
+            away, near = (np.bincount(numbers, self.area * mask) for mask in (leaning, touch))
+            beyond |= (away > near)[numbers]
+        return beyond
 
     def regions(self, facets: Sequence[npt.NDArray]) -> npt.NDArray[np.intp]:
         """Number of the connected region of each pair; pairs are adjacent if they share a facet."""
@@ -473,6 +493,7 @@ def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
     apart, at, flat0, flat1 = (v[keep] for v in (apart, at, flat0, flat1))
     both = a.curvature + b.curvature
     sags = a.sags(_shares(flat0, at), both) + b.sags(_shares(flat1, at), both)
+    area = common[keep] / (a.x.shape[2] - 1)
     return _Facing(
         pair=facing[keep],
         low=apart.min(axis=1),
@@ -480,7 +501,8 @@ def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
         near=near[keep],
         curved=(np.abs(apart) <= sags + near[keep, None]).all(axis=1),
         bends=a.turn + b.turn > FILE_DIGITS,
-        area=common[keep] / (a.x.shape[2] - 1),
+        area=area,
+        extent=area ** (1 / (a.x.shape[2] - 1)),
     )
 
 

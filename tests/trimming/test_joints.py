@@ -273,6 +273,13 @@ def test_outline_beside_an_inner_corner(swapped):
     assert area_of_tie(any_assemblies.Scene(122, 3), (4, 6), swapped) < 3e-4
 
 
+@pytest.mark.parametrize("pair, error", (((2, 11), 1e-2), ((9, 11), 3e-3)))
+def test_facets_beyond_an_edge(pair, error, caplog):
+    """An edge that turns by 50° on coarse facets: the next face isn't tied, too (6 and 4 %)."""
+    assert area_of_tie(any_assemblies.Scene(134, 3), pair) < error
+    assert "find_touching leaves out" in caplog.text
+
+
 @pytest.mark.parametrize("swapped", (False, True))
 def test_outlines_that_meet_at_no_corner(swapped):
     """Where another attempt finds cells, no outline is moved to a vertex: 1e-4 of the area."""
