@@ -3,7 +3,6 @@
 """Choice of the solver: by name, or by the system if none is named."""
 
 import logging
-from typing import ClassVar
 
 from petsc4py import PETSc
 
@@ -64,8 +63,7 @@ def create(
 class BudgetedBodies(Bodies):
     """``"bodies"`` as a default: where it converges in few iterations."""
 
-    BUDGET: ClassVar[int] = BUDGET_BODIES
-    OPTIONS = {**Bodies.OPTIONS, "ksp_max_it": BUDGET}  # noqa: RUF012
+    OPTIONS = {**Bodies.OPTIONS, "ksp_max_it": BUDGET_BODIES}  # noqa: RUF012
 
     @classmethod
     def why_not(cls, system: System) -> str | None:
@@ -91,7 +89,6 @@ class BudgetedBodies(Bodies):
 class BudgetedMultigrid(Multigrid):
     """Multigrid that takes no more iterations than factors would be worth."""
 
-    BUDGET: ClassVar[int] = BUDGET
     OPTIONS = {**Multigrid.OPTIONS, "ksp_max_it": BUDGET}  # noqa: RUF012
 
 
@@ -125,15 +122,14 @@ def default(system: System) -> tuple[type[Direct] | type[Budgeted], str]:
 class FallingBack(Solver):
     """A solver that is replaced by ``"direct"`` for good, if it fails or factors are cheaper.
 
-    Both have a number of iterations for each matrix, be it one solve that converges slowly, or the
-    steps of a time loop.
+    Both have a number of iterations for each matrix, their KSP's largest one, be it one solve that
+    converges slowly, or the steps of a time loop.
     """
 
     def __init__(self, system: System, first: type[Budgeted], prefix: str, options: dict | None):
         """Create the first solver, for which alone the user's options are. Collective."""
         self._system, self._prefix = system, prefix
         self._solver: KSPSolver = first(system, prefix, options)
-        self._budget = first.BUDGET
         self._given_up: PETSc.KSP | None = None
         self._state, self._spent = -1, 0  # iterations with A of this state
 
@@ -162,7 +158,7 @@ class FallingBack(Solver):
         state = self._system.A.stateGet()
         if state != self._state:
             self._state, self._spent = state, 0
-        if self._given_up is None and self._spent >= self._budget:
+        if self._given_up is None and self._spent >= self._solver.ksp.max_it:
             self._fall_back(f"{self._spent} iterations with one matrix cost as much as its factors")
         self._solver.update()
 

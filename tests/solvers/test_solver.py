@@ -668,7 +668,7 @@ def test_the_default_in_circles(monkeypatch, caplog):
     problem.solve()
     assert problem.solver_name == "iterative" and problem.iterations > 5
     assert difference(problem, direct) <= 1e-8
-    monkeypatch.setattr(problem._solver, "_budget", 2 * problem.iterations)
+    problem.solver.max_it = 2 * problem.iterations
     for value in (1.0, 2.0, 3.0):  # other matrices: none is solved with often
         modulus.value = value
         problem.solve()
