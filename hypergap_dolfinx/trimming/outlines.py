@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.surface.nearest import on_loop
 from hypergap_dolfinx.surface.pieces import Side
-from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE
+from hypergap_dolfinx.surface.tolerances import CORNER, FACING_COSINE, FILE_DIGITS
 from hypergap_dolfinx.trimming.curved_outlines import Arcs
 from hypergap_dolfinx.trimming.tolerances import (
     AWAY,
@@ -140,7 +140,10 @@ class Rim:
         beside = np.stack([np.roll(own, k) for k in (-1, 0, 1)])
         curvature = np.maximum(there_by[edge], there_by[after])  # of an edge: not beyond corners
         curvature = np.minimum(beside.max(axis=0), curvature)
+        # Nodes of one curve lie on the outer side of the other's chords
+        inwards = _dot(there.apart, m) * np.sign(other._turn[edge] + other._turn[after])
         explained = SAGS / 8 * curvature * other.length[edge] ** 2
+        explained[inwards > FILE_DIGITS * other.length[edge]] = 0
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
         length = np.maximum(self.length, other.length[edge])
