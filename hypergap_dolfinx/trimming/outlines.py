@@ -114,8 +114,9 @@ class Rim:
     def off(self, other: "Rim", corner: float = CORNER_OUTLINE):
         """Distances of its nodes from another outline, less the uncertainty of both meshes.
 
-        Two polygons with their nodes on one curve differ by their sag, where both turn. Across a
-        gap they also differ by the uncertainty of the normals.
+        Of two polygons with their nodes on one curve of curvature κ, a node of one lies outside a
+        chord of the other of length L, by κ L² s (1 − s) / 2 at its parameter s. Across a gap they
+        also differ by the uncertainty of the normals.
 
         Args:
             other: The other one.
@@ -140,9 +141,8 @@ class Rim:
         beside = np.stack([np.roll(own, k) for k in (-1, 0, 1)])
         curvature = np.maximum(there_by[edge], there_by[after])  # of an edge: not beyond corners
         curvature = np.minimum(beside.max(axis=0), curvature)
-        # Nodes of one curve lie on the outer side of the other's chords
         inwards = _dot(there.apart, m) * np.sign(other._turn[edge] + other._turn[after])
-        explained = SAGS / 8 * curvature * other.length[edge] ** 2
+        explained = SAGS / 2 * curvature * there.s * (1 - there.s) * other.length[edge] ** 2
         explained[inwards > FILE_DIGITS * other.length[edge]] = 0
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
