@@ -141,9 +141,11 @@ class Rim:
         beside = np.stack([np.roll(own, k) for k in (-1, 0, 1)])
         curvature = np.maximum(there_by[edge], there_by[after])  # of an edge: not beyond corners
         curvature = np.minimum(beside.max(axis=0), curvature)
-        inwards = _dot(there.apart, m) * np.sign(other._turn[edge] + other._turn[after])
+        ways = np.sign(other._turn)
+        inwards = _dot(there.apart, m) * (ways[edge] + ways[after]) > FILE_DIGITS * other.length[edge]
+        bends = np.abs(ways[edge] * there_by[edge] - ways[after] * there_by[after])  # not evenly
+        curvature = np.where(inwards, np.minimum(curvature, bends), curvature)
         explained = SAGS / 2 * curvature * there.s * (1 - there.s) * other.length[edge] ** 2
-        explained[inwards > FILE_DIGITS * other.length[edge]] = 0
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
         length = np.maximum(self.length, other.length[edge])
