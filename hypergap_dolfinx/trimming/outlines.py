@@ -115,8 +115,9 @@ class Rim:
         """Distances of its nodes from another outline, less the uncertainty of both meshes.
 
         Of two polygons with their nodes on one curve of curvature κ, a node of one lies outside a
-        chord of the other of length L, by κ L² s (1 − s) / 2 at its parameter s. Across a gap they
-        also differ by the uncertainty of the normals.
+        chord of the other of length L, by κ L² s (1 − s) / 2 at its parameter s; inside only if
+        the curve doesn't bend evenly there. Across a gap they also differ by the uncertainty of
+        the normals.
 
         Args:
             other: The other one.
@@ -142,8 +143,10 @@ class Rim:
         curvature = np.maximum(there_by[edge], there_by[after])  # of an edge: not beyond corners
         curvature = np.minimum(beside.max(axis=0), curvature)
         ways = np.sign(other._turn)
-        inwards = _dot(there.apart, m) * (ways[edge] + ways[after]) > FILE_DIGITS * other.length[edge]
-        bends = np.abs(ways[edge] * there_by[edge] - ways[after] * there_by[after])  # not evenly
+        inwards = (
+            _dot(there.apart, m) * (ways[edge] + ways[after]) > FILE_DIGITS * other.length[edge]
+        )
+        bends = np.abs(ways[edge] * there_by[edge] - ways[after] * there_by[after])
         curvature = np.where(inwards, np.minimum(curvature, bends), curvature)
         explained = SAGS / 2 * curvature * there.s * (1 - there.s) * other.length[edge] ** 2
         explained += height * np.tan(np.minimum(tilt, CORNER))
