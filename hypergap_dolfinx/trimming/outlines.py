@@ -17,6 +17,7 @@ from hypergap_dolfinx.trimming.tolerances import (
     CORNER_OUTLINE,
     INSIDE_WEIGHT,
     LEVEL,
+    NEARBY,
     NEWTON_OUTLINES,
     SAGS,
 )
@@ -116,8 +117,8 @@ class Rim:
 
         Of two polygons with their nodes on one curve of curvature κ, a node of one lies outside a
         chord of the other of length L, by κ L² s (1 − s) / 2 at its parameter s; inside only if
-        the curve doesn't bend evenly there. Across a gap they also differ by the uncertainty of
-        the normals.
+        the curve doesn't bend evenly there, or by a small part of L. Across a gap they also differ
+        by the uncertainty of the normals.
 
         Args:
             other: The other one.
@@ -147,8 +148,10 @@ class Rim:
             _dot(there.apart, m) * (ways[edge] + ways[after]) > FILE_DIGITS * other.length[edge]
         )
         bends = np.abs(ways[edge] * there_by[edge] - ways[after] * there_by[after])
-        curvature = np.where(inwards, np.minimum(curvature, bends), curvature)
-        explained = SAGS / 2 * curvature * there.s * (1 - there.s) * other.length[edge] ** 2
+        even = np.where(inwards, np.minimum(curvature, bends), curvature)
+        sag, arc = SAGS / 8 * curvature, SAGS / 2 * even * there.s * (1 - there.s)
+        size = other.length[edge]
+        explained = np.maximum(arc * size**2, np.minimum(sag * size**2, NEARBY * size))
         explained += height * np.tan(np.minimum(tilt, CORNER))
         explained = np.minimum(explained, AWAY * other.length[edge])
         length = np.maximum(self.length, other.length[edge])

@@ -28,6 +28,11 @@ SAGS = 2.0
 Measured: 16 bent plates under two or four blocks, 6 curved partitions of any_assemblies: 1 fails in
 one of each, 2 in none."""
 
+NEARBY = 0.02
+"""Distance of a node from another outline, in edges, that a curve's sag explains on either side.
+Measured: 80 ties of rings over holes of random radii are off by .3 % in area in the mean, with 1 by
+1.8 %; of 320 of arched L-shapes four change, by .2 % at most, with 0 two are refused and 59 change."""
+
 AWAY = 0.5
 """Distance of outlines, in lengths of their edges, that no bend explains.
 Measured: flush tubes of five facets 0.16; a bolt of six facets that ends 0.8 of one behind its
