@@ -16,7 +16,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.surface.pieces import TRIANGLE_CORNERS, Side, bent
 from hypergap_dolfinx.surface.trace import geometry_nodes
-from hypergap_dolfinx.trimming.tolerances import FOLDS, NEWTON_OUTLINES
+from hypergap_dolfinx.trimming.tolerances import NEWTON_OUTLINES
 
 P = basix.ElementFamily.P
 SAMPLES = basix.create_lattice(basix.CellType.triangle, 4, basix.LatticeType.equispaced, True)
@@ -220,7 +220,7 @@ def upright(X, bends) -> npt.NDArray[np.float64] | None:
     good = np.ones(len(some), dtype=bool)
     for point in SAMPLES:
         slopes = straight + bent(bends[some], np.tile(point, (len(some), 1)))[1]
-        good &= np.linalg.det(slopes) / twice > FOLDS
+        good &= np.linalg.det(slopes) / twice > 0
     bends = bends.copy()
     bends[some[~good]] = 0
     return bends if bends.any() else None
