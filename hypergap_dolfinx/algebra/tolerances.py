@@ -25,7 +25,7 @@ Measured: round-off 1e-16, single precision 1e-7."""
 NOTHING = 1e-12
 """Relative size treated as zero: forces and energies of rigid motions over K's rows, entries of B
 over the largest, prescribed displacements over the interface, a contact's pressure over the largest
-of all, the compliance of contact that sticks over that of the bodies.
+of all, the compliance of contact that sticks, or has no friction, over that of the bodies.
 Measured: round-off 2e-15 to 5e-13; held at one node 2.5e-5; prescribed entries are exact zeros; a
 rod without a weight between nuts that aren't tightened: pressures of 4e-18 to 2e-16; blocks between
 walls, cells 2:3, 4:6 with the finer as Γ1: none without that compliance, the same with 1e-10 and

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.algebra.pattern import Pattern, coupled
+from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
@@ -699,8 +700,14 @@ class ContactRows:
         return joined(P.T @ (H @ P), self._rigid.curvature(start, self.contact_forces()))
 
     def _first_order(self, y, f):
-        """Errors of the laws in the states of the working set, their derivatives by y and f."""
-        return self.law(y, f, np.arange(len(self.g)), (self.state.active,))[:3]
+        """Errors of the laws in the states of the working set, their derivatives by y and f.
+
+        A small weight of increments of pressures keeps the system regular where rows are redundant.
+        """
+        active = self.state.active
+        error, by_y, by_f, _ = self.law(y, f, np.arange(len(self.g)), (active,))
+        by_f[0, 0] += NOTHING * active
+        return error, by_y, by_f
 
     @property
     def _forces(self) -> npt.NDArray[np.float64]:

@@ -59,6 +59,19 @@ class Blocks:
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
 
 
+def test_prescribed_finer_side():
+    """Five prescribed facets that touch one elastic cell: their rows say the same."""
+    scene = Blocks(n=(1, 5), walls=True)
+    V = scene.u[1].function_space
+    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0))
+    down = fem.dirichletbc(default_scalar_type((0, -0.01)), dofs, V)
+    problem = ContactProblem(scene.F, scene.u, bcs=[*scene.bcs, down], contacts=[scene.contact])
+    problem.solve()
+    lowest = comm.allreduce(scene.u[0].x.array.real.min(initial=0), MPI.MIN)
+    assert problem.iterations <= 2 and problem.halvings == 0
+    assert abs(lowest + 0.01) < 1e-12
+
+
 def test_inverted_cells(monkeypatch):
     """Where a Newton step leads to a stiffness that is no number, the load step is halved."""
     scene, calls = Blocks(), []
