@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Elastic
-from helpers import close, raises, sweep, thorough, two_ranks
+from helpers import close, raises, ranks_at_last, sweep, thorough, two_ranks
 
 import meshes
 from dolfinx import default_scalar_type, fem
@@ -102,7 +102,7 @@ def test_ring():
     )
 
 
-@two_ranks(cell=["hexahedron"], degree=[1])
+@ranks_at_last(cell=["hexahedron"], degree=[1])
 @pytest.mark.parametrize(
     ("cell", "degree", "cells"),
     [
