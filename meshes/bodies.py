@@ -281,7 +281,8 @@ def _gmsh(build: Callable, h: float, cell: str, degree: int):
         gmsh.option.setNumber("Mesh.MeshSizeMin", h)
         gmsh.option.setNumber("Mesh.MeshSizeMax", h)
         gmsh.option.setNumber("Mesh.ElementOrder", degree)
-        gmsh.option.setNumber("Mesh.HighOrderOptimize", 1)  # else curved cells may be folded
+        # Else curved cells may be folded; in space Gmsh's optimiser may abort the process instead
+        gmsh.option.setNumber("Mesh.HighOrderOptimize", int(dim == 2))
         build(gmsh.model.occ)
         gmsh.model.occ.synchronize()
         gmsh.model.mesh.generate(dim)
