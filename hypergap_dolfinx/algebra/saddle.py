@@ -81,13 +81,13 @@ def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec):
     key = f"{ksp.getOptionsPrefix() or ''}mat_mumps_icntl_14"
     before = database.getAll().get(key)
     for _ in range(4):  # three times the workspace each time: 100 % to 8100 %
-        if not _is_short(ksp):
-            break
         database[key] = max(100, pc.getFactorMatrix().getMumpsIcntl(14)) * 3
         operators = ksp.getOperators()
         pc.reset()
         ksp.setOperators(*operators)
         ksp.solve(b, x)
+        if not _is_short(ksp):
+            break
     del database[key]
     if before is not None:
         database[key] = before
