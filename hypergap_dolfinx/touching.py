@@ -3,7 +3,7 @@
 """Search for touching bodies and their facets, the sides of an assembly's ties."""
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,9 +32,13 @@ from hypergap_dolfinx.tolerances import (
 )
 
 LOG = logging.getLogger("hypergap_dolfinx")
-FLAT, CURVED, DISTANCE, CLEARANCE, UNEXPLAINED = (
-    "flat", "curved", "distance", "clearance", "unexplained",
+FLAT, CURVED, DISTANCE, CLEARANCE, OVERLAP, UNEXPLAINED = (
+    "flat", "curved", "distance", "clearance", "overlap", "unexplained",
 )  # fmt: skip
+
+
+Reach = Callable[[Boundary, Boundary], npt.NDArray[np.float64] | float]
+"""Largest distances between simplices of two bodies."""
 
 
 class _Sides(NamedTuple):
@@ -55,7 +59,8 @@ class Touching(_Sides):
     ``"flat"``: at most 1e-3 of the facet size. ``"curved"``: no more than the curvature of the
     surfaces explains, or the surfaces cross within each facet.
     ``"distance"``: no more than the given distance. For facets that were left out ``"clearance"``:
-    no sign that the surfaces meet; ``"unexplained"``: they may meet."""
+    no sign that the surfaces meet; ``"overlap"``: the bodies overlap, by no more than the size of
+    the smaller facet; ``"unexplained"``: the surfaces may meet."""
     area: float
     """Common area of the facets, in 2D their common length."""
     numbers: tuple[int, int]
@@ -222,8 +227,8 @@ def find_touching(
         ``spaces``: the two sides for a :class:`Tie` or :class:`Contact`, each a space and this
         rank's facets (possibly none), with ``area``, ``apart`` (the largest distance) and
         ``explained``. ``left_out`` of the list and of each pair holds facets that face each other
-        but weren't found to touch; where they may touch, the log of ``hypergap_dolfinx`` has a
-        warning. ``print`` shows everything as a table.
+        but weren't found to touch; where they may touch, or bodies overlap by up to the size of a
+        facet, the log of ``hypergap_dolfinx`` has a warning. ``print`` shows everything as a table.
 
     Raises:
         InterfaceError: A space that isn't Lagrange, two spaces on one mesh, meshes of different
@@ -298,6 +303,12 @@ def _tell(pairs: TouchingPairs) -> None:
                 "finer or give a distance.",
                 *(left.counts[0], left.names[0], left.counts[1], left.names[1], left.apart),
             )
+        if left.explained == OVERLAP:
+            LOG.warning(
+                "%s and %s overlap by up to %.3g: find_touching leaves out their %d and %d facets "
+                "there. Mend the geometry, or give a distance of more than that to take them.",
+                *(*left.names, -left.apart, *left.counts),
+            )
 
 
 def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
@@ -334,6 +345,11 @@ def _check(spaces: list[fem.FunctionSpace], distance: float | None) -> MPI.Comm:
     return first.comm
 
 
+def _flat(a: Boundary, b: Boundary) -> npt.NDArray[np.float64]:
+    """Distances treated as zero between flat facets, ``(num_pairs,)``."""
+    return NEAR_FLAT * np.minimum(a.size, b.size)
+
+
 def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
     """Facets of all touching pairs of bodies, and facing facets that were left out.
 
@@ -342,20 +358,26 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
         (((space, facets), (space, facets)), values of :class:`Touching`). The values are None
         without such facets.
     """
+
+    def reach(a, b):
+        return a.most + b.most + _flat(a, b) if distance is None else distance
+
     boxes = [body.boxes(body.most if distance is None else distance) for _, body in bodies]
     hulls = np.array([(b[:, 0].min(axis=0), b[:, 1].max(axis=0)) for b in boxes])
     found = []
     for i, j in _meeting(hulls, hulls):
         if i >= j:
             continue
-        simplices = _meeting(boxes[i], boxes[j]).T
-        a, b = (bodies[k][1][s] for k, s in zip((i, j), simplices, strict=True))
-        facing = _facing(a, b, distance)
-        if not len(facing.pair):
-            continue
-        parts, simplices = [bodies[i], bodies[j]], simplices[:, facing.pair]
+        parts = [bodies[i], bodies[j]]
+        simplices, facing = _near(parts, (boxes[i], boxes[j]), reach)
         facets = [body.facet[s] for (_, body), s in zip(parts, simplices, strict=True)]
         mask, may = facing.touch(facets, distance is None)
+        overlap = None if (mask | may).any() else _overlap(parts)
+        if overlap:
+            found.append(((overlap[0], None), overlap))
+            continue
+        if not len(facing.pair):
+            continue
         known = [np.isin(numbers, numbers[mask]) for numbers in facets]
         left = ~(known[0] & known[1])
         sides = [
@@ -367,6 +389,33 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
         why = UNEXPLAINED if (may | known[0] | known[1])[left].any() else CLEARANCE
         found.append((_pair(sides, facing[mask]), _pair(beside, facing[left], why)))
     return found
+
+
+def _overlap(parts: list[tuple[int, Boundary]]):
+    """Sides of two bodies that overlap by up to a facet's size, as :func:`_pair`; None if not.
+
+    Bodies with facets that face each other across a clearance don't: others that are behind each
+    other are sides of thin layers. So are regions more than twice as deep as the least one.
+    """
+    wider = [body.boxes(body.size / 2) for _, body in parts]
+    simplices, facing = _near(parts, wider, lambda a, b: np.minimum(a.size, b.size))
+    if not len(facing.pair) or (facing.high >= -facing.near).any():
+        return None
+    facets = [body.facet[s] for (_, body), s in zip(parts, simplices, strict=True)]
+    region = facing.regions(facets)
+    depth = np.zeros(region.max() + 1)
+    np.maximum.at(depth, region, -facing.low)
+    some = depth[region] <= 2 * depth[region].min()
+    sides = [(k, np.unique(own[some])) for (k, _), own in zip(parts, facets, strict=True)]
+    return _pair(sides, facing[some], OVERLAP)
+
+
+def _near(parts, boxes, reach: Reach):
+    """Simplices of two bodies that face each other, ``(2, num_pairs)``, and their distances."""
+    simplices = _meeting(*boxes).T
+    a, b = (body[s] for (_, body), s in zip(parts, simplices, strict=True))
+    facing = _facing(a, b, reach)
+    return simplices[:, facing.pair], facing
 
 
 def _pair(sides, facing: "_Facing", explained: str | None = None):
@@ -460,8 +509,8 @@ def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
     return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
 
-def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
-    """Pairs of simplices that face each other within the distance that curvature permits."""
+def _facing(a: Boundary, b: Boundary, reach: Reach) -> _Facing:
+    """Pairs of simplices that face each other, up to a distance."""
     limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
     facing = np.flatnonzero(np.einsum("pi,pi->p", a.normals, b.normals) < -np.cos(limit))
     a, b = a[facing], b[facing]
@@ -485,10 +534,9 @@ def _facing(a: Boundary, b: Boundary, distance: float | None) -> _Facing:
     low, high = vertices.min(axis=1), vertices.max(axis=1)
     extent = np.linalg.norm(high - low, axis=1) if a.x.shape[2] == 3 else 1.0
     seen = np.minimum(far * np.tan((a.turn + b.turn) / 4), SEEN * np.minimum(a.size, b.size))
-    near = NEAR_FLAT * np.minimum(a.size, b.size)
-    reach = a.most + b.most + near if distance is None else distance
+    near = _flat(a, b)
     wide = common > np.maximum(FILE_DIGITS * smaller, seen * extent)
-    keep = np.flatnonzero(wide & (far <= reach))
+    keep = np.flatnonzero(wide & (far <= reach(a, b)))
     a, b = a[keep], b[keep]
     apart, at, flat0, flat1 = (v[keep] for v in (apart, at, flat0, flat1))
     both = a.curvature + b.curvature

@@ -120,6 +120,19 @@ class ConstraintBlocks:
         """Name of an interface in messages: those of its ties."""
         return " with ".join(self._names[t] for t in self._interfaces[g])
 
+    def too_few(self, moving: Sequence[int]) -> str:
+        """Sentences about ties with too few multipliers to hold bodies at others that are held."""
+        found = ""
+        for t, (tie, sides) in enumerate(zip(self._ties, self.sides, strict=True)):
+            g = self._of_tie.get(t)
+            rows = 0 if g is None else next(B for B in self.full[g] if B).getSize()[0]
+            if len(set(sides).intersection(moving)) == 1 and rows < tie.block_size**2:
+                found += (
+                    f" {self._names[t]} has too few multipliers to hold it: it covers "
+                    f"{tie.domain.covered.sum():.2g} facets of Γ1; tie more of them, or refine Γ1."
+                )
+        return found
+
     @property
     def conducts(self) -> bool:
         """True if a tie has a conductance, which may be 0."""

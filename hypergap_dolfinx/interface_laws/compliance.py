@@ -44,6 +44,14 @@ def parts(value: Any, name: str) -> tuple[Part, ...]:
     return found
 
 
+def _mesh(V: fem.FunctionSpace) -> str:
+    """Name and middle of a space's mesh. Collective."""
+    mesh = V.mesh
+    x = mesh.geometry.x[: mesh.geometry.index_map().size_local, : mesh.geometry.dim]
+    total, num = mesh.comm.allreduce(x.sum(axis=0)), mesh.comm.allreduce(len(x))
+    return f"{mesh.name!r} around {spot(total / num)}"
+
+
 class Weighting:
     """C of one interface, for values of c ≥ 0 that may change."""
 
@@ -87,7 +95,8 @@ class Weighting:
                 if V.mesh is not spaces[1].mesh or V.value_shape != () or lagrange_element(V)[1]:
                     raise ValueError(
                         f"a {self.name} that is a function is a scalar one, of a Lagrange space of "
-                        "degree ≥ 1 on the mesh of Γ1's body."
+                        f"degree ≥ 1 on the mesh of Γ1's body, {_mesh(spaces[1])}; or give a "
+                        "callable of x, which serves on either body."
                     )
                 self._surfaces[k] = create_surface(V, facets1, "Γ1")
         self.values()

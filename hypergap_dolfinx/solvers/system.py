@@ -177,6 +177,7 @@ class TiedSystem(collective.Owner):
                 f"{pressures if any(map(is_mixed, self._system.spaces)) else ''}. "
                 f"{'These move' if len(moving) > 1 else 'This one moves'}: "
                 f"{', '.join(checks.name_of_body(i, self._system.spaces[i]) for i in moving)}."
+                f"{self._constraints.too_few(moving)}"
             )
         self._motions_known = True
 

@@ -203,6 +203,16 @@ def test_an_assembly_that_can_still_move(fixed, count, swap):
         raises(SolveError, f"singular: {count} rigid motion", p.solve)
 
 
+@pytest.mark.ranks(2, swap=[False])
+@pytest.mark.parametrize("swap", (False, True))
+def test_a_tie_with_one_multiplier(swap):
+    """A body that is tied over 2 % of a facet can turn: it isn't told to be tied."""
+    bodies = [rectangle((2, 2), (0, 0), (1, 1)), rectangle((2, 2), (0.99, 1), (1.99, 2))]
+    p = problem(bodies, [tie(bodies, *(TIED[::-1] if swap else TIED))], TIED, HELD)
+    said = r"tie 0 .* has too few multipliers to hold it: it covers 0\.02 facets of Γ1; tie more"
+    raises(SolveError, f"singular: 1 rigid motion .*body 1\\. {said}", p.solve)
+
+
 @pytest.mark.ranks(num=[3])
 @pytest.mark.parametrize("num", (2, 3))
 def test_bodies_without_ties(num):

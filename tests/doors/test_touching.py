@@ -376,7 +376,8 @@ def test_clearance_of_curved_sides(n, cell):
     for clearance in (0.1, -0.1, 0.5, -0.5, 1, -1, 1.5, -1.5, 2):
         found = find_touching([bush, ring(n[1], 1 + clearance * sag, 3, cell)])
         if abs(clearance) >= 1.5 or n[0] == n[1]:
-            assert not found and all(left.explained == "clearance" for left in found.left_out)
+            kinds = {left.explained for left in found.left_out}
+            assert not found and kinds <= {"overlap" if clearance < 0 else "clearance"}
         for pair in found:
             rim = tuple(count * (1 if cell in PLANE else 2) for count in n)
             told = pair.left_out is not None and pair.left_out.explained == "unexplained"
@@ -452,6 +453,32 @@ def test_table(caplog):
         assert message.startswith(
             "find_touching leaves out 4 facets of spaces[0] and 4 of spaces[1]"
         )
+
+
+@pytest.mark.ranks(2, overlap=[0.1], above=[1])
+@pytest.mark.parametrize("above", (0.04, 1))
+@pytest.mark.parametrize("overlap", (0.01, 0.1, 0.3))
+def test_bodies_that_overlap(overlap, above, caplog):
+    """By less than a facet: they are told to, but thin layers that touch or are apart aren't."""
+    if overlap > above:
+        return
+    low = space((3, 2), (0, 0), (1, 1), "triangle")
+    high = space((2, 2), (0, 1 - overlap), (1, 1 + above - overlap), "quadrilateral")
+    found = find_touching([low, high])
+    assert not found and find_touching([low, high], distance=1.01 * overlap)
+    (left,) = found.left_out
+    assert left.explained == "overlap" and left.counts == (3, 2)
+    np.testing.assert_allclose((left.apart, left.area), (-overlap, 1))
+    told = [record.getMessage() for record in caplog.records]
+    said = f"spaces[0] and spaces[1] overlap by up to {overlap:.3g}"
+    assert len(told) == (comm.rank == 0) and all(one.startswith(said) for one in told)
+    layers = [
+        space((3, 1), (0, start), (1, start + 0.01), "triangle") for start in (0, 0.01, 0.05, 0.06)
+    ]
+    caplog.clear()
+    found = find_touching(layers)
+    assert len(found) == 2 and all(left.explained == "clearance" for left in found.left_out)
+    assert not caplog.records
 
 
 @pytest.mark.ranks(2, cell=["quadrilateral"], n=[2])

@@ -351,6 +351,7 @@ def test_solvers(solver):
 def test_bad_input():
     bodies = blocks()
     mesh = bodies[0].mesh
+    bodies[1].mesh.name = "upper"
     elsewhere = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
     negative = fem.Function(fem.functionspace(bodies[1].mesh, ("Lagrange", 1)))
     negative.x.array[:] = -2
@@ -367,7 +368,7 @@ def test_bad_input():
         (lambda x: 1 / 0, "no number on Γ1: division by zero"),
         (lambda x: 1 + 1j * x[0], "it has an imaginary part; a compliance is real"),
         (lambda x: x[0] - 1, r"the compliance is -1 at \(0, 1\)"),
-        (elsewhere, "on the mesh of Γ1's body"),
+        (elsewhere, r"on the mesh of Γ1's body, 'upper' around \(.*; or give a callable of x"),
         (negative, "the compliance is -2"),
     ):
         with raises(ValueError, said):
