@@ -24,7 +24,8 @@ between vertices.
 
 An edge of contact is free where an active vertex has a neighbour that is open, as others beside
 that are, and lies opposite Γ0, and where pressure falls towards it. At corners it rises (it is
-singular there); where a surface ends nothing is open beside it: neither has a root.
+singular there); where a surface ends nothing is open beside it: neither has a root. Nor has a part
+of which all active vertices are at the edge: two numbers can't be told from one force.
 """
 
 from collections.abc import Sequence
@@ -89,18 +90,22 @@ class SurfacePressure:
     """p² there at vertices, negative beyond the edge, ``(num_vertices,)``."""
     near: Mask
     """Facets near free edges, ``(num_facets,)``."""
+    steep: Mask
+    """These, and facets of parts without a root, which are drawn as finely, ``(num_facets,)``."""
 
     @classmethod
     def of(cls, state: ContactState) -> "SurfacePressure":
         """The pressure of a contact."""
-        rooted = _near_free_edges(state)
+        rooted, inner = _near_free_edges(state)
         s = np.where(state.p > 0, state.p, 0) ** 2
-        mean, part = _parts(state, rooted[state.surface.facets].any(axis=1))
-        rooted &= mean[state.vertices] > 0  # not in a part that touches without load
+        steep = rooted[state.surface.facets].any(axis=1)
+        mean, part = _parts(state, steep)
+        falls = np.isin(part, part[state.vertices[inner]])
+        rooted &= (falls & (mean > 0))[state.vertices]  # not in a part that touches without load
         near = rooted[state.surface.facets].any(axis=1)
         if rooted.any():
             s = _RootFit(state, rooted, near, mean, part).solve(s)
-        return cls(state.surface, state.p, s, near)
+        return cls(state.surface, state.p, s, near, steep)
 
     def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
         """Pressures at the same reference points X of some facets, ``(num_facets, num_points)``."""
@@ -147,11 +152,11 @@ class SurfacePressure:
 
         Returns:
             Facets, ``(num,)``, and reference coordinates of the corners of each one's simplices,
-            ``(num_simplices, dim + 1, dim)``: facets as they are, and those near free edges.
+            ``(num_simplices, dim + 1, dim)``: facets as they are, and steep ones.
         """
         kind = self.surface.geometry.cell_type
         parts = PARTS_ROOT[self.surface.gdim - 2]
-        given = ((~self.near, 1), (self.near, parts))
+        given = ((~self.steep, 1), (self.steep, parts))
         return [(np.flatnonzero(on), simplices(kind, num)) for on, num in given]
 
 
@@ -180,8 +185,13 @@ def _rings(surface: Surface) -> int:
     return RINGS_ROOT[surface.gdim - 2] * surface.num_parts
 
 
-def _near_free_edges(state: ContactState) -> Mask:
-    """Vertices near free edges of contact, those where pressure has a root, ``(num_vertices,)``."""
+def _near_free_edges(state: ContactState) -> tuple[Mask, Mask]:
+    """Vertices near free edges of contact.
+
+    Returns:
+        Those where pressure has a root, and active vertices that aren't at an edge,
+        ``(num_vertices,)`` each.
+    """
     facets, active = state.surface.facets, state.active
     on = active[facets]
     apart = np.zeros(len(active), dtype=bool)  # not only a hole of one vertex in the contact
@@ -203,7 +213,7 @@ def _near_free_edges(state: ContactState) -> Mask:
     singular[facets[ends & ~falls]] = True
     for _ in range(_rings(state.surface)):
         near[facets[near[facets].any(axis=1)]] = True
-    return near & ~singular
+    return near & ~singular, active & ~last
 
 
 class _RootFit:

@@ -211,7 +211,7 @@ def test_root_at_a_free_edge(kind, degree):
     forces = np.zeros((len(side.dofs), surface.gdim))
     gaps = mean_gaps(x, 0.73) if kind == "edges" else 0 * x
     state = ContactState(side, surface, p, active, np.ones_like(active), gaps, forces)
-    near = _near_free_edges(state)[surface.facets].any(axis=1)
+    near = _near_free_edges(state)[0][surface.facets].any(axis=1)
     found = SurfacePressure.of(replace(state, forces=moments(side, s, near)))
     inside = np.zeros_like(active)
     inside[surface.facets[active[surface.facets].any(axis=1)]] = True
@@ -228,6 +228,38 @@ def test_no_root(kind):
         given = ContactState(side, side.reference, p * active, active, exists, 0 * x, none)
         found = SurfacePressure.of(given)
         assert not found.near.any()
+
+
+@pytest.mark.ranks(2, cell=["tetrahedron"])
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("cell", ("hexahedron", "tetrahedron"))
+def test_first_touch(cell, degree):
+    """Of a round surface, at one vertex: its pressure is as it is, and its force isn't lost."""
+    u, F, bcs, sides = [], [], [], []
+    kind = CellType.hexahedron if cell == "hexahedron" else CellType.tetrahedron
+    for i, (low, n) in enumerate((((-2, -2, 0), (6, 6, 1)), ((-1, -1, 1), (4, 4, 2)))):
+        mesh = create_box(comm, [low, (-low[0], -low[1], i + 1)], n, kind)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+        touching, away = (
+            locate_entities_boundary(mesh, 2, lambda x, z=z: np.isclose(x[2], z))
+            for z in (1, 2 * i)
+        )
+        x = mesh.geometry.x
+        x[:, 2] += 0.08 * i * (x[:, :2] ** 2).sum(axis=1) * (2 - x[:, 2])
+        body = Elastic.on(V)
+        u.append(body.u)
+        F.append(body.F)
+        at = fem.locate_dofs_topological(V, 2, away)
+        bcs.append(fem.dirichletbc(default_scalar_type((0, 0, -0.03 * i)), at, V))
+        sides.append((V, touching))
+    contact = Contact(*sides)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    problem.solve()
+    p = contact.pressure(problem, on="surface")
+    largest = comm.allreduce(p.x.array.max(initial=0), MPI.MAX)
+    assert contact.active.sum() == 1, contact.active.sum()
+    assert abs(largest / contact.pressures(problem).max() - 1) <= 1e-9
+    assert abs(integral(p) / contact.force(problem)[2] - 1) <= 0.01
 
 
 @pytest.mark.parametrize("kind", ("edges", "triangles"))
@@ -268,7 +300,7 @@ def test_steps_are_sparse(monkeypatch, degree, apart):
     active, forces = s > 0, np.zeros((len(side.dofs), 3))
     p = np.sqrt(np.maximum(s, 0))
     state = ContactState(side, side.reference, p, active, s < 9, 0 * s, forces)
-    free = _near_free_edges(state)
+    free, _ = _near_free_edges(state)
     near = free[side.reference.facets].any(axis=1)
     mean, part = _parts(state, near)
     assert (len(np.unique(part[mean > 0])) > 1) == apart
