@@ -32,7 +32,7 @@ from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.forms import thickness
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
-from hypergap_dolfinx.interface_laws.given_values import Settable, as_numbers
+from hypergap_dolfinx.interface_laws.given_values import Settable, as_moduli, as_numbers
 from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
 from hypergap_dolfinx.surface.component import Component
@@ -245,12 +245,7 @@ class Contact(Settable):
         ]
         ratio, contrast = size[0] / size[1], 1.0
         if stiffness is not None:
-            try:
-                moduli = as_numbers(stiffness, (2,), "stiffness")
-            except ValueError:
-                moduli = np.zeros(2)
-            if not (moduli > 0).all():
-                raise ValueError(f"stiffness is a pair of moduli > 0, not {stiffness!r}.")
+            moduli = as_moduli(stiffness)
             contrast = moduli[1] / moduli[0]
         if max(contrast, 1 / contrast) >= STIFF:
             swapped, why = contrast > 1, "far softer"
@@ -482,6 +477,8 @@ class Contact(Settable):
 
     def dissipation(self, problem) -> float:
         """Energy dissipated by friction in the last :meth:`ContactProblem.solve`; 0 without it.
+
+        With an elastic slip it lacks what vertices that leave contact had stored in that.
 
         Args:
             problem: A solved problem with this contact.

@@ -241,7 +241,8 @@ class ContactProblem(ContactSystem):
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
         self._halvings = 0
-        self._told_far, self._told_over = set[tuple[int, int]](), set[int]()
+        self._told_far = set[tuple[int, int]]()
+        self._told_over, self._told_fixed = set[int](), set[int]()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
         revolution.tell(of_bodies, contacts, "contact")
@@ -332,6 +333,7 @@ class ContactProblem(ContactSystem):
             if self._num_steps == 1:
                 self._warn_of_reach(self._comm)
             self._warn_of_distance(self._comm)
+            self._warn_of_prescribed(self._comm)
             self._warn_of_cells(self._comm)
             self._interrupts.check()
         return self._every
@@ -339,7 +341,8 @@ class ContactProblem(ContactSystem):
     def _solve_step(self):
         """Solve one load step, halved where necessary. Collective."""
         self._path.start_step()
-        wrong = self._path.wrong
+        finite = all(np.isfinite(u.x.array).all() for u in self._u)
+        wrong = self._path.wrong or (None if finite else "a displacement at the start, in u,")
         message = wrong and f"{wrong} is no number: it is NaN or infinite; set it before solve()."
         raise_on_all(self._comm, message, SolveError)
         for body in self._rigid:
@@ -592,6 +595,24 @@ class ContactProblem(ContactSystem):
                         "over the facets of Γ1 at a vertex, and these are too coarse for a corner "
                         "or step there; refine them."
                     )
+
+    def _warn_of_prescribed(self, comm):
+        """Warn, once for each contact, of overlaps where both sides are prescribed."""
+        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
+            fixed = (rows.m > 0) & ~rows.valid
+            depth = np.divide(-rows.g, rows.m, out=np.zeros(len(rows.m)), where=fixed)
+            if c in self._told_fixed or depth.max(initial=0) <= rows.closed:
+                continue
+            if depth.max() <= 2 * gap_of_chords(*contact.geometry.surfaces):
+                continue
+            self._told_fixed.add(c)
+            if comm.rank == 0:
+                at = rows.sides[1].reference.x[[int(depth.argmax())]]
+                LOG.warning(
+                    f"contact {c}: both surfaces are prescribed around {spot(at)} (before "
+                    f"displacements), where they overlap by {depth.max():.3g}: no pressure can "
+                    "part them there; prescribe one of them only, or other displacements."
+                )
 
     def _warn_of_cells(self, comm):
         """Warn, once for each body, of cells that are turned over as it slides far. Collective."""

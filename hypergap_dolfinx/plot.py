@@ -219,8 +219,16 @@ def traction(
         traction: λ on Σ, from ``tie.traction(problem)``; a vector.
         filename: Path of the picture; None saves none.
         window: True to open a window.
+
+    Raises:
+        ValueError: A traction that isn't on Σ.
     """
     comm, dim = tie.domain.comm, tie.surfaces[0].gdim
+    if traction.function_space.mesh is not tie.sigma:
+        raise ValueError(
+            "the traction is a function on tie.sigma, as tie.traction(problem) gives it; "
+            "plot.field draws those on a body's surface."
+        )
     plotter = _plotter(comm, window)
     drawn = tie.spaces if dim == 2 else tie.spaces[:1]
     for mesh in {id(V.mesh): V.mesh for V in drawn}.values():

@@ -127,6 +127,11 @@ class TiedProblem(TiedSystem):
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs
         if any(isinstance(tie, Tie) and tie.law and not tie.law.linear for tie in ties):
             raise ValueError("a tie with a law of its jump is for a NonlinearTiedProblem.")
+        if any(form is None for form in a):
+            raise ValueError(
+                f"a[{[form is None for form in a].index(True)}] is None: give each body a bilinear "
+                "form. Rigid bodies are for a ContactProblem."
+            )
         for form in (*a, *L):
             if form is not None and not isinstance(form, ufl.Form):
                 raise ValueError(
@@ -139,6 +144,11 @@ class TiedProblem(TiedSystem):
         if u is not None and len(u) != len(a):
             raise ValueError(f"{len(u)} functions u for {len(a)} bodies: give one for each.")
         solutions = list(u) if u is not None else [fem.Function(_space(L)) for L in loads]
+        for i, (f, L_i) in enumerate(zip(solutions, loads, strict=True)):
+            if f.function_space != _space(L_i):
+                raise ValueError(
+                    f"u[{i}] and a[{i}] are on different function spaces; same order in both?"
+                )
         revolution.tell_couplings(a, coupled)
         loads += [one.L for one in coupled]
         self._L = create_forms(loads, form_compiler_options, jit_options)

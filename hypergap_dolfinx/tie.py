@@ -23,7 +23,7 @@ from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
-from hypergap_dolfinx.interface_laws.given_values import Given, Settable, as_numbers
+from hypergap_dolfinx.interface_laws.given_values import Given, Settable, as_moduli, as_numbers
 from hypergap_dolfinx.interface_laws.jump import Jump, gaping, right_side
 from hypergap_dolfinx.mortar import fields
 from hypergap_dolfinx.mortar.adjust import adjust_surface, with_surfaces
@@ -283,6 +283,8 @@ class Tie(Settable, collective.Owner):
             The tie.
         """
         check_sides("tie", a, b)
+        if stiffness is not None:
+            stiffness = as_moduli(stiffness)
         size, thin, num = [], [], []
         for side, name in ((a, "the first side"), (b, "the second side")):
             surface = create_surface(Component.of(side[0]).space, side[1], name)
@@ -758,5 +760,10 @@ class Tie(Settable, collective.Owner):
 
         Args:
             degree: Degree of polynomials that the rule integrates exactly.
+
+        Raises:
+            ValueError: A degree that isn't an integer from 0 on.
         """
+        if not isinstance(degree, int | np.integer) or degree < 0:
+            raise ValueError(f"the degree is {degree!r}: give an integer from 0 on.")
         return fields.create_quadrature(self._domain, degree)

@@ -38,6 +38,21 @@ class Settable:
         super().__setattr__(name, value)
 
 
+def as_moduli(stiffness: Any) -> tuple[float, float]:
+    """The moduli of two bodies.
+
+    Raises:
+        ValueError: They aren't two numbers above 0.
+    """
+    try:
+        first, second = as_numbers(stiffness, (2,), "stiffness").tolist()
+    except ValueError:
+        first = second = 0.0
+    if not (first > 0 and second > 0):
+        raise ValueError(f"stiffness is a pair of moduli > 0, not {stiffness!r}.")
+    return first, second
+
+
 def is_read(value: Any) -> bool:
     """True for values that are read anew each time: a function, a constant, or a callable of x."""
     if isinstance(value, fem.Constant | fem.Function):

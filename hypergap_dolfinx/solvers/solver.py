@@ -56,10 +56,10 @@ class Options:
             unfit: End of the message if PETSc can't solve with them.
 
         Raises:
-            ValueError: No prefix.
+            ValueError: The prefix doesn't end with ``_``.
         """
-        if not prefix:
-            raise ValueError("the PETSc options prefix cannot be empty.")
+        if not prefix.endswith("_"):
+            raise ValueError(f"petsc_options_prefix is {prefix!r}; let it end with _.")
         given = PETSc.Options().getAll()
         free = {key: value for key, value in defaults.items() if prefix + key not in given}
         self._options = {prefix + key: value for key, value in {**free, **options}.items()}
@@ -93,11 +93,11 @@ class Options:
             cause = error.__cause__
             if cause is not None and not isinstance(cause, PETSc.Error):
                 raise cause from None  # of Python that PETSc called; old PETSc raises it itself
-            unknown_type = 86  # PETSC_ERR_UNKNOWN_TYPE
+            of_others = 76, 86  # PETSC_ERR_LIB, PETSC_ERR_UNKNOWN_TYPE
             reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
             raise SolveError(
                 f"PETSc can't solve with these options: {reason} (code {error.ierr})."
-                + self._unfit * (error.ierr != unknown_type)
+                + self._unfit * (error.ierr not in of_others)
             ) from error
         finally:
             self._unused = {key for key in self._unused if not compat.is_used(database, key)}
@@ -267,6 +267,11 @@ class KSPSolver(Solver):
 
     def _advice(self) -> str:
         """End of the message on a failure."""
+        if self._ksp.getPC().getType() == "fieldsplit":
+            return (
+                "; give each split a solver of its own (fieldsplit_0_pc_type …): by default one is "
+                "for the block of zeros, too"
+            )
         if not any(map(is_mixed, self._system.spaces)):
             return self.ADVICE
         return (
@@ -396,7 +401,7 @@ class Direct(KSPSolver):
     }
     UNFIT = (
         " The matrix is a MatNest with a block of zeros; "
-        'pc_type "lu" (MUMPS) and "fieldsplit" take it.'
+        'pc_type "lu" (MUMPS) takes it, and "fieldsplit" with a solver for each split.'
     )
     REPLACEABLE = True
     _factorised: int | None = None  # state of A

@@ -99,6 +99,8 @@ class TiedSystem(collective.Owner):
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
         self._ticket = collective.enter(self._u[0].function_space.mesh.comm)
+        if len({id(f) for f in u}) < len(u):
+            raise ValueError("u has one function twice; give each body one of its own.")
         wrong = [bc for bc in bcs if not isinstance(bc, fem.DirichletBC)]
         if wrong:
             raise ValueError(

@@ -213,6 +213,37 @@ def test_a_tie_with_one_multiplier(swap):
     raises(SolveError, f"singular: 1 rigid motion .*body 1\\. {said}", p.solve)
 
 
+@pytest.mark.ranks(2)
+def test_lists_that_dont_fit():
+    bodies = blocks()
+    a, L = forms(bodies)
+    one = tie(bodies, *TIED)
+    sides = [(bodies[i].V, bodies[i].facets(tag)) for i, tag in TIED]
+    u = [fem.Function(body.V) for body in bodies]
+    for error, said, call in (
+        (ValueError, r"^a\[0\] is None", lambda: TiedProblem([None, a[1]], L, ties=[one])),
+        (ValueError, r"^u\[0\] and a\[0\] are", lambda: TiedProblem(a, L, ties=[one], u=u[::-1])),
+        (
+            ValueError,
+            "^u has one function twice",
+            lambda: NonlinearTiedProblem([ufl.action(a[0], u[0])] * 2, [u[0]] * 2, ties=[one]),
+        ),
+        (
+            ValueError,
+            "^petsc_options_prefix is 'my'; let it end with _",
+            lambda: TiedProblem(a, L, ties=[one], petsc_options_prefix="my"),
+        ),
+        (ValueError, "^the degree is -1: give", lambda: one.quadrature(-1)),
+        (ValueError, "^the degree is .2.: give", lambda: one.quadrature("2")),
+        (
+            ValueError,
+            "^stiffness is a pair of moduli > 0, not",
+            lambda: Tie.between(*sides, stiffness=("steel", "rubber")),
+        ),
+    ):
+        raises(error, said, call)
+
+
 @pytest.mark.ranks(num=[3])
 @pytest.mark.parametrize("num", (2, 3))
 def test_bodies_without_ties(num):

@@ -205,6 +205,28 @@ def test_loads():
 
 
 @pytest.mark.ranks(2)
+def test_both_sides_prescribed(caplog):
+    """Surfaces that are pushed into each other and can't part: once, and not where they touch."""
+    scene = two()
+    for i, tag in ((0, meshes.TOP), (1, meshes.BOTTOM)):
+        held = [scene.hold(i, component, tag) for component in (0, 1)]
+    problem = scene.problem([Contact(*faces(scene))])
+    problem.solve()
+    assert not caplog.records
+    for down in (-0.1, -0.12):
+        held[1].value = scene.down.value = down
+        problem.solve()
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == (comm.rank == 0)
+    for one in told:
+        assert one.startswith("contact 0: both surfaces are prescribed around (")
+        assert "where they overlap by 0.1: " in one
+    scene.u[1].x.array[:] = np.nan
+    with raises(SolveError, "a displacement at the start, in u, is no number"):
+        problem.solve()
+
+
+@pytest.mark.ranks(2)
 def test_no_residual(monkeypatch):
     """Where cells are inverted, or a form gives no numbers, is told."""
     monkeypatch.setattr(contact_problem, "HALVINGS", 0)

@@ -397,7 +397,7 @@ def test_prescribed_side_1():
 
 def test_empty_prefix():
     _, a, L, tie = arguments()
-    with raises(ValueError, "options prefix"):
+    with raises(ValueError, "petsc_options_prefix is ''; let it end with _"):
         TiedProblem(a, L, ties=[tie], petsc_options_prefix="")
 
 

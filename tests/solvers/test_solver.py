@@ -467,6 +467,9 @@ def test_options_that_dont_fit(pc):
     match = "Unable to find" if pc == "no such" else "MatNest"
     with pytest.raises(SolveError, match=rf"^PETSc can't solve with these options: .*{match}"):
         TiedProblem(a, L, bcs=bcs, ties=ties, petsc_options={"pc_type": pc}).solve()
+    split = {"ksp_type": "gmres", "pc_type": "fieldsplit"}
+    with pytest.raises(SolveError, match="give each split a solver of its own"):
+        TiedProblem(a, L, bcs=bcs, ties=ties, petsc_options=split).solve()
 
 
 @two_ranks()
