@@ -215,12 +215,13 @@ def find_touching(
             meshes are 2D, or all are 3D.
         distance: Largest gap or overlap of touching facets, a length. By default it is 1e-3 of the
             smaller facet for flat surfaces, and h²/8R for curved ones with edges h and radius R.
-            R follows from the angles between adjacent facets (up to 65°); distances at facet
-            centres count, not those at vertices. Curved surfaces that cross within each facet
-            also touch. An angle is a corner, not curvature, if the surface doesn't continue to turn
-            on both sides; a distance that vanishes nowhere in the region is a clearance. Clearances
-            and layers thinner than h²/8R, and larger gaps, need a distance. Normals may deviate
-            from opposite ones by 5° plus ¾ of the angles between adjacent facets.
+            R follows from the angles between adjacent facets. One of more than 65° is a corner,
+            between curved facets one of half as much where they meet; distances at facet centres
+            count, not those at vertices. Curved surfaces that cross within each facet also touch. A
+            smaller one is a corner, too, if the surface doesn't continue to turn on both sides; a
+            distance that vanishes nowhere in the region is a clearance. Clearances and layers
+            thinner than h²/8R, and larger gaps, need a distance. Normals may deviate from opposite
+            ones by 5° plus ¾ of the angles between adjacent facets.
 
     Returns:
         A list with one :class:`Touching` for each two bodies that touch, in the order of

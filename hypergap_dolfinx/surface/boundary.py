@@ -8,12 +8,18 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+import basix
 from dolfinx import fem
-from dolfinx.mesh import exterior_facet_indices
+from dolfinx.mesh import Mesh, exterior_facet_indices
 from hypergap_dolfinx.core import compat, graph
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, FILE_DIGITS, GOES_ON
+from hypergap_dolfinx.surface.tolerances import (
+    CORNER_ASSEMBLY,
+    CURVES,
+    FILE_DIGITS,
+    GOES_ON,
+)
 from hypergap_dolfinx.surface.trace import unit_normals
 
 # A facet that is a quadrilateral, as two triangles; its vertices as DOLFINx orders them
@@ -31,9 +37,13 @@ class ExteriorFacets:
     nodes: npt.NDArray[np.int64]
     """Global geometry nodes of the vertices, ``(num_facets, num_vertices)``."""
     inside: npt.NDArray[np.float64]
-    """A point on the body's side of each, ``(num_facets, n)``."""
+    """Mean of the cell's vertices, ``(num_facets, n)``: nodes of curved edges of thin cells may lie
+    beyond the facet."""
     height: npt.NDArray[np.float64]
     """Largest distance of the geometry's nodes from the flat facet, ``(num_facets,)``."""
+    normals: npt.NDArray[np.float64]
+    """Normals of curved facets at their vertices, 0 of others, ``(num_facets, num_vertices, n)``.
+    Their signs are arbitrary."""
     part: npt.NDArray[np.int32]
     """Connected part of the mesh, ``(num_facets,)``."""
 
@@ -132,14 +142,34 @@ def exterior_facets(V: fem.FunctionSpace, name: str) -> ExteriorFacets:
     x = all_x[nodes]
     # The last vertex of a quadrilateral may be out of the plane of the others, on both sides alike
     others = all_x[facet_nodes[:, num_vertices[cell] :]] - x[:, :1]
+    num_corners = len(basix.geometry(getattr(basix.CellType, cell)))
+    height = np.abs(np.einsum("fmi,fi->fm", others, unit_normals(x[:, :n]))).max(1, initial=0)
+    curved = height > FILE_DIGITS * _sizes(x)
     return ExteriorFacets(
         index=index,
         x=x,
         nodes=mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape),
-        inside=all_x[compat.geometry_dofmap(mesh)[cells]].mean(axis=1),
-        height=np.abs(np.einsum("fmi,fi->fm", others, unit_normals(x[:, :n]))).max(1, initial=0),
+        inside=all_x[compat.geometry_dofmap(mesh)[cells, :num_corners]].mean(axis=1),
+        height=height,
+        normals=_normals(mesh, all_x[facet_nodes]) * curved[:, None, None],
         part=graph.connected(V)[0][V.dofmap.list[cells, 0]],
     )
+
+
+def _normals(mesh: Mesh, nodes: npt.NDArray) -> npt.NDArray[np.float64]:
+    """Unit normals at facets' vertices, from their nodes; 0 if the geometry has degree 1."""
+    cmap, n = compat.coordinate_element(mesh), nodes.shape[2]
+    cell_type = getattr(basix.CellType, mesh.topology.cell_name())
+    facet_type = basix.cell.subentity_types(cell_type)[n - 1][0]
+    vertices = basix.geometry(facet_type)
+    if cmap.degree == 1 or not len(nodes):
+        return np.zeros((len(nodes), len(vertices), n))
+    variant = basix.LagrangeVariant(int(cmap.variant))
+    element = basix.create_element(basix.ElementFamily.P, facet_type, cmap.degree, variant)
+    derivatives = element.tabulate(1, vertices)[1:, :, :, 0]
+    t = np.einsum("jva,fai->jfvi", derivatives, nodes)
+    normals = np.cross(*t) if n == 3 else t[0, :, :, ::-1] * (1, -1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-300)
 
 
 def gathered(V: fem.FunctionSpace, name: str):
@@ -159,11 +189,16 @@ def gathered(V: fem.FunctionSpace, name: str):
 def _parts(facets: ExteriorFacets) -> list[Boundary]:
     """The boundary of each connected part of a mesh, in the order of their positions."""
     split = _SIMPLICES[facets.x.shape[1]]
-    x, nodes = (np.concatenate([a[:, s] for s in split]) for a in (facets.x, facets.nodes))
+    x, nodes, normals = (
+        np.concatenate([a[:, s] for s in split]) for a in (facets.x, facets.nodes, facets.normals)
+    )
     facet = np.tile(np.arange(len(facets.x)), len(split))
-    inwards = np.einsum("fi,fi->f", unit_normals(x), x.mean(axis=1) - facets.inside[facet]) < 0
-    x[inwards], nodes[inwards] = x[inwards, ::-1], nodes[inwards, ::-1]
-    curvature, turn = _curvature(x, nodes)
+    outwards = facets.x.mean(axis=1) - facets.inside
+    inwards = np.einsum("fi,fi->f", unit_normals(facets.x), outwards)[facet] < 0
+    for a in (x, nodes, normals):
+        a[inwards] = a[inwards, ::-1]
+    normals *= np.sign(np.einsum("fvi,fi->fv", normals, unit_normals(x)))[..., None]
+    curvature, turn = _curvature(x, nodes, normals)
     height = facets.height[facet]  # known for facets that are curved themselves
     size = _sizes(x)
     turn = np.maximum(turn, 8 * height / np.where(size > 0, size, 1))
@@ -176,17 +211,29 @@ def _parts(facets: ExteriorFacets) -> list[Boundary]:
     return [boundary[part == p] for p in np.lexsort(np.reshape(lowest, (-1, x.shape[2])).T[::-1])]
 
 
+def _angles(n0: npt.NDArray, n1: npt.NDArray) -> npt.NDArray[np.float64]:
+    """Angles between vectors, ``(num,)``."""
+    product = np.linalg.norm(n0, axis=1) * np.linalg.norm(n1, axis=1)
+    return np.arccos(np.clip(np.einsum("ei,ei->e", n0, n1) / np.maximum(product, 1e-300), -1, 1))
+
+
 def _sizes(x: npt.NDArray) -> npt.NDArray[np.float64]:
     """Longest edges of simplices ``(num, n, n)``, ``(num,)``."""
     return np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
 
 
-def _curvature(x: npt.NDArray, nodes: npt.NDArray):
+def _curvature(x: npt.NDArray, nodes: npt.NDArray, at_vertices: npt.NDArray):
     """Curvature tensors of the surface at each of its simplices, and the largest turn there.
 
     A circle of radius R turns by θ = h / R from one edge h to the next one. Of a ridge between two
     simplices, θ / h is the curvature across it, h being the height of the smaller one over the
     ridge; a triangle has the sum of its ridges' tensors, an edge the larger of its vertices'.
+    Curved facets turn inside: their angle where they meet tells whether that is a corner.
+
+    Args:
+        x: Vertices of the simplices, ``(num, n, n)``.
+        nodes: Their numbers, ``(num, n)``.
+        at_vertices: Normals of curved facets there, 0 of others, ``(num, n, n)``.
 
     Returns:
         ``(num, n, n)``, as of :class:`Boundary`, and ``(num,)``.
@@ -209,12 +256,17 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray):
     ways = [way - np.einsum("ei,ei->e", way, along)[:, None] * along for way in ways]
     height = np.array([np.linalg.norm(way, axis=1) for way in ways])
     ways = [way / np.where(h > 0, h, 1)[:, None] for way, h in zip(ways, height, strict=True)]
-    theta = np.arccos(np.clip(np.einsum("ei,ei->e", normals[f], normals[g]), -1, 1))
+    theta = _angles(normals[f], normals[g])
+    own = [at_vertices[s[:, None], others[v]].sum(axis=1) for s, v in ((f, k), (g, m))]
+    bent = [n.any(axis=1, keepdims=True) for n in own]
+    met = _angles(*(np.where(b, n, normals[s]) for b, n, s in zip(bent, own, (f, g), strict=True)))
+    either = np.any(bent, axis=(0, 2))
+    corner = np.where(either, met / CURVES, theta) > CORNER_ASSEMBLY
     going = [
         _turns_beyond(nodes, ridges[a], along, theta, beyond, way)
         for beyond, way in zip((nodes[f, k], nodes[g, m]), ways, strict=True)
     ]
-    curved = np.where(theta > CORNER_ASSEMBLY, 0, np.minimum(theta, GOES_ON * np.min(going, 0)))
+    curved = np.where(corner, 0, np.minimum(theta, GOES_ON * np.min(going, 0)))
     smooth = theta <= curved + FILE_DIGITS
     height = height.min(axis=0)
     size = (curved / np.where(height > 0, height, 1))[:, None, None]
