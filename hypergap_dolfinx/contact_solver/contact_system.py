@@ -536,9 +536,11 @@ class ContactSystem(NonlinearSystem):
         forces = np.bincount(rows.C.i, np.abs(rows.C.values * rows.state.p[rows.C.i]), len(rows.g))
         k = int(np.abs(part).argmax()) if worst[c] else int(forces.argmax())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k % len(rows.g)]])
+        gap = max(part.largest_gap for part in self._rows)
         return (
             f"no equilibrium is found: after {step} Newton steps forces are off by "
-            f"{self._unbalanced:.2g}, and contact {c} changes most at {at}."
+            f"{self._unbalanced:.2g}, gaps in contact by {gap:.2g}, "
+            f"and contact {c} changes most at {at}."
         )
 
     def _unsolved(self, found: Solution) -> str:
