@@ -22,6 +22,7 @@ from hypergap_dolfinx.contact_geometry.status import table
 from hypergap_dolfinx.contact_solver.contact_rows import ContactPair, ContactRows, SystemState
 from hypergap_dolfinx.contact_solver.contact_system import ContactSystem
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
+from hypergap_dolfinx.contact_solver.predictor import Extrapolation
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
 from hypergap_dolfinx.interface_laws.coupling import Coupling, motions_of
@@ -239,7 +240,8 @@ class ContactProblem(ContactSystem):
         for k, end in enumerate(coupled):
             values += list(zip((f"{w} of coupling {k}" for w in OF_RIGID), end.given, strict=True))
         without = (*self._u, *hooks.internal_variables)
-        self._path = LoadPath(values_of(forms, bcs, moved, values, without=without))
+        self._path = LoadPath(self._comm, values_of(forms, bcs, moved, values, without=without))
+        self._last = Extrapolation(self._comm)
         self._halvings = 0
         self._told_far = set[tuple[int, int]]()
         self._told_over, self._told_fixed = set[int](), set[int]()
@@ -354,14 +356,16 @@ class ContactProblem(ContactSystem):
         if not self._num_steps:
             self._warn_of_stiffness(self._comm)
             self._warn_of_chords(self._comm)
-        done, size = 0.0, 1.0
+        done, size, again = 0.0, 1.0, False
         while done < 1:
             before, values = self._state(), [u.x.array.copy() for u in self._set]
             internal = self._hooks.copies()
             s = min(done + size, 1.0)
             self._path.interpolate(s)
+            load = self._path.increments(done, s)
             try:
-                self._newton(damps=self._halvings > 0)
+                ahead = self._ahead(load, before) if again or not self._last.in_contact else None
+                self._newton(ahead, damps=self._halvings > 0)
                 self._accept(s)
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
@@ -379,6 +383,10 @@ class ContactProblem(ContactSystem):
                         f"contact: {error}{lost} The load step can't be halved: no value has "
                         "changed since the last one, or since the problem was made (load it then)."
                     ) from error
+                again = not again and self._last.in_contact and bool(self._ahead(load, before))
+                if again:
+                    self._records.tell(f"tried again from another start: {error}")
+                    continue
                 size /= 2
                 self._halvings += 1
                 if size < 0.5**HALVINGS:
@@ -395,11 +403,28 @@ class ContactProblem(ContactSystem):
             else:
                 for one in (*self._rows, *self._points):
                     one.commit()
-                done, size = s, min(2 * size, 1.0)
+                now = self._state()
+                on = any(state.p.any() for state in (*before.contacts, *now.contacts))
+                self._last.remember(load, before.values, now.values, in_contact=on)
+                done, size, again = s, min(2 * size, 1.0), False
                 if done < 1:
                     self._records.tell(f"solved up to {100 * done:.3g} %")
         self._path.commit()
         self._react()
+
+    def _forget(self):
+        super()._forget()
+        self._last.forget()
+
+    def _ahead(self, load: Sequence[npt.NDArray], before: SystemState) -> list[npt.NDArray] | None:
+        """Changes of the unknowns as in the last load step; None if they close a gap. Collective.
+
+        Args:
+            load: Increments of the values that this rank owns.
+            before: The present state.
+        """
+        changes = None if self._num_free else self._last.changes(load, before.values)
+        return changes if changes is None or self._is_clear(changes) else None
 
     def _accept(self, s: float):
         """Call ``accepted``; raise if it changed a value that the load step sets back. Collective.

@@ -5,6 +5,8 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,6 +31,14 @@ def array_of(value: Value) -> npt.NDArray:
 def _same(value: Value) -> int:
     """Key that is equal for one object, compiled or not."""
     return id(getattr(value, "_cpp_object", value))
+
+
+def _num_owned(value: Value, comm: MPI.Comm) -> int | None:
+    """Number of a value's numbers that this rank owns; constants are the first rank's."""
+    if hasattr(value, "x"):
+        dofmap = value.function_space.dofmap
+        return dofmap.index_map.size_local * dofmap.index_map_bs
+    return None if comm.rank == 0 else 0
 
 
 def values_of(
@@ -61,12 +71,14 @@ def values_of(
 class LoadPath:
     """Linear path from the values of the last load step to those that a user has set since."""
 
-    def __init__(self, values: Sequence[tuple[str, Value]]):
+    def __init__(self, comm: MPI.Comm, values: Sequence[tuple[str, Value]]):
         """Start at the present values.
 
         Args:
+            comm: Communicator of the bodies.
             values: The values with their kinds, as :func:`values_of` gives them.
         """
+        self._comm = comm
         self._kinds = [kind for kind, _ in values]
         self.values = [value for _, value in values]
         """Objects in which the user changes values."""
@@ -87,6 +99,18 @@ class LoadPath:
         """
         for a, start, end in zip(self._arrays, self.start, self._end, strict=True):
             a[...] = end if s == 1 else start + s * (end - start)
+
+    def increments(self, start: float, end: float) -> list[npt.NDArray]:
+        """Increments of values along a part of the path, of those that this rank owns.
+
+        Args:
+            start: Part of the path where it begins.
+            end: Where it ends.
+        """
+        return [
+            (end - start) * (b - a)[: _num_owned(value, self._comm)]
+            for value, a, b in zip(self.values, map(np.ravel, self.start), map(np.ravel, self._end))
+        ]
 
     def copies(self) -> list[npt.NDArray]:
         """Copies of this rank's present values."""

@@ -324,6 +324,20 @@ class ContactRows:
         return self._scaled(self._lengths - self._product(self.from_bodies(changes))).ravel()
 
     @property
+    def overlaps(self) -> bool:
+        """True if a gap outside of the active set is negative."""
+        return bool((self.g < 0)[self.valid & ~self.state.active].any())
+
+    def num_samples(self, moves: Sequence[npt.NDArray]) -> int:
+        """Number of parts of a step that don't lead through half of the thinner body. Collective.
+
+        Args:
+            moves: What is added to this rank's displacements of each body.
+        """
+        far = sum(float(lengths(part).max(initial=0)) for part in self.from_bodies(moves))
+        return int(np.ceil(far / self._contact.geometry.depth))
+
+    @property
     def _slopes(self) -> Sparse:
         """Derivatives of weighted gaps and slips by displacements."""
         return self.C

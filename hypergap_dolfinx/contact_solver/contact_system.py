@@ -62,7 +62,8 @@ class ContactSystem(NonlinearSystem):
 
     1. *Predictor*, before the first step (:mod:`~hypergap_dolfinx.contact_solver.predictor`).
        Bodies whose prescribed displacements move them far, or turn them together, are first moved
-       as rigid ones (:meth:`_lead`).
+       as rigid ones (:meth:`_lead`). Without contact, and where a load step fails, displacements
+       go on as in the last load step, as far as the load does (:meth:`_go_on`).
     2. *Step* (:meth:`_step`, :mod:`~hypergap_dolfinx.contact_solver.linearised`). The linearised
        contact problem, with its inequalities and the tangent at the last pressures, is solved
        exactly. Displacements change by its solution; pressures and active sets are its own. The
@@ -75,6 +76,7 @@ class ContactSystem(NonlinearSystem):
            step turns back, with negative work ─→ it is taken backwards, up to PATIENCE times
            PATIENCE + 2 steps along one line ───→ it is taken to their limit
            STEPS steps ─────────────────────────→ the load step fails
+           it fails ────────────────────────────→ once more as the last one goes on; then halved
            no solution, PATIENCE times in a row → it fails: a body leaves
 
     The iteration ends after a step (or at the start, if the residual is round-off) when both hold:
@@ -312,10 +314,12 @@ class ContactSystem(NonlinearSystem):
         """
         self._restore(start.towards(end, share))
 
-    def _newton(self, *, damps: bool = False) -> int:
+    def _newton(self, ahead: Sequence[npt.NDArray] | None = None, *, damps: bool = False) -> int:
         """Newton's iteration for the present values of the load. Collective.
 
         Args:
+            ahead: Changes of this rank's unknowns with which the last load step goes on; None if
+                the load doesn't.
             damps: True if steps in cycles are halved.
 
         Returns:
@@ -330,7 +334,11 @@ class ContactSystem(NonlinearSystem):
             rows.start_step()
         self._constraints.read_jumps()
         self._goal = self._lifted()
-        self._lead()
+        way = None
+        if ahead is None:
+            self._lead()
+        else:
+            way = self._go_on(ahead)
         for stress in self._stresses:
             stress.start()
         self._reach = np.inf
@@ -339,7 +347,6 @@ class ContactSystem(NonlinearSystem):
         self._largest, self._largest_terms = 0.0, np.zeros(1)
         self._num_rays, polished = 0, False
         self._holding: npt.NDArray[np.bool_] | None = None
-        way: tuple[SystemState, SystemState] | None = None
         share, step = 1.0, 0
         while True:
             for rows in self._rows:
@@ -384,6 +391,33 @@ class ContactSystem(NonlinearSystem):
             share = continuation.share(moves, work)
             if share != 1:
                 self._go(*way, share)
+
+    def _is_clear(self, ahead: Sequence[npt.NDArray]) -> bool:
+        """True if no gap closes on the way, in parts that are too short to miss it. Collective.
+
+        Args:
+            ahead: Changes of this rank's unknowns.
+        """
+        num, start = max(rows.num_samples(ahead) for rows in self._rows), self._state()
+        if num > TRIALS:
+            return False
+        for k in range(num):
+            self._restore(start)
+            self._go_on([(k + 1) / num * part for part in ahead])
+            for rows in self._rows:
+                rows.update_geometry()
+            if any([rows.overlaps for rows in self._rows]):
+                break
+        self._restore(start)
+        return not any([rows.overlaps for rows in self._rows])
+
+    def _go_on(self, ahead: Sequence[npt.NDArray]) -> tuple[SystemState, SystemState]:
+        """Change the unknowns by these values; the states before and after. Collective."""
+        start = self._state()
+        for x, more in zip(self._x.getNestSubVecs(), ahead, strict=True):
+            x.array[:] += more
+        self._assign(self._x)
+        return start, self._state()
 
     def _record(self, step: int):
         """Record a Newton step."""

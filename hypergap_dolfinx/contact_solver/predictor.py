@@ -1,6 +1,10 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Rigid motions that follow from prescribed displacements; linear steps would distort rotations."""
+"""Predictor: displacements from which Newton's iteration of a load step starts.
+
+Bodies in contact that are prescribed to move far, or to turn together, are moved as rigid ones:
+linear steps would distort rotations. Without contact displacements go on as in the last load step.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -120,3 +124,68 @@ def turns_together(a: RigidMotion, b: RigidMotion) -> bool:
     """True if both rotate, and differ by less than either of them does from rest."""
     least = min(float(np.linalg.norm(motion.turn - np.eye(len(a.end)))) for motion in (a, b))
     return least > HOLDS and float(np.linalg.norm(a.turn - b.turn)) < least
+
+
+class Extrapolation:
+    """Displacements that go on as in the last load step, as far as the load does.
+
+    With increments Δℓ of all values that a user changes, each over its size, and those of the last
+    load step, Δℓ' and Δu', displacements change by s Δu', where s = Δℓ·Δℓ' / Δℓ'·Δℓ' is between 0
+    (a load that turns back, or another one) and 1.
+    """
+
+    def __init__(self, comm: MPI.Comm):
+        """Start without a last load step.
+
+        Args:
+            comm: Communicator of the bodies.
+        """
+        self._comm = comm
+        self.forget()
+
+    def forget(self):
+        """Forget the last load step."""
+        self.remember((), (), (), in_contact=True)
+
+    def remember(
+        self,
+        load: Sequence[npt.NDArray],
+        start: Sequence[npt.NDArray],
+        end: Sequence[npt.NDArray],
+        *,
+        in_contact: bool,
+    ):
+        """Remember a solved load step.
+
+        Args:
+            load: Increments of the values that this rank owns.
+            start: This rank's unknowns before it.
+            end: The same after it.
+            in_contact: True if a pressure acted before or after it.
+        """
+        self._load, self._start, self._end = list(load), list(start), list(end)
+        self.in_contact = in_contact
+        """True if a pressure acted before or after the last load step."""
+
+    def changes(
+        self, load: Sequence[npt.NDArray], now: Sequence[npt.NDArray]
+    ) -> list[npt.NDArray] | None:
+        """Changes of this rank's unknowns; None if they are zero. Collective.
+
+        Args:
+            load: Increments of the values that this rank owns.
+            now: This rank's unknowns; where a user has set them, nothing goes on.
+        """
+        goes_on = bool(self._end) and all(map(np.array_equal, now, self._end))
+        if not self._comm.allreduce(goes_on, MPI.LAND):
+            return None
+        pairs = zip(load, self._load, strict=True)
+        found = [[np.vdot(x, y).real for x, y in ((a, a), (b, b), (a, b))] for a, b in pairs]
+        products = np.array(found, dtype=float).reshape(-1, 3)
+        self._comm.Allreduce(MPI.IN_PLACE, products)
+        sizes = products[:, :2].max(axis=1, initial=np.finfo(float).tiny)
+        _, last, along = (products / sizes[:, None]).sum(axis=0)
+        if not along > np.finfo(float).eps * last:
+            return None
+        share = min(along / last, 1.0)
+        return [share * (b - a) for a, b in zip(self._start, self._end, strict=True)]

@@ -1,0 +1,123 @@
+# Copyright (C) 2026 The hypergap_dolfinx developers
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Load steps that start from displacements that go on as in the last one."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from assembly import Elastic, lame_constants
+
+import meshes
+from dolfinx import default_scalar_type, fem
+from hypergap_dolfinx import Contact, ContactProblem
+from hypergap_dolfinx.contact_solver.predictor import Extrapolation
+
+comm = MPI.COMM_WORLD
+
+
+@pytest.mark.ranks(3)
+@pytest.mark.parametrize(
+    ("load", "share"),
+    (
+        ((1, 2, 3e9), 1),
+        ((2, 4, 6e9), 1),  # as far as the last one at most
+        ((0.5, 1, 1.5e9), 0.5),
+        ((1, 2, 0), 0.5),  # one of two goes on, in whatever units
+        ((-1, -2, -3e9), 0),
+        ((2, -1, 0), 0),  # across
+        ((0, 0, 0), 0),
+    ),
+)
+def test_share(load, share):
+    """The share is the projection on the last load, the same on any number of ranks."""
+    last, mine = Extrapolation(comm), slice(None) if comm.rank == 0 else slice(0)
+
+    def values(load):
+        """A vector whose numbers all ranks have, and a constant, which the first rank has."""
+        load = np.array(load, dtype=float)
+        return [load[:2] / (comm.rank + 1), load[2:][mine]]
+
+    start, end = [np.ones(3)], [np.array((1, 3, comm.rank))]
+    assert last.changes(values(load), start) is None
+    last.remember(values((1, 2, 3e9)), start, end, in_contact=False)
+    found = last.changes(values(load), end)
+    if share:
+        np.testing.assert_allclose(found[0], share * (end[0] - start[0]), 1e-14)
+    else:
+        assert found is None
+    # One rank's unknowns were set by a user
+    assert last.changes(values(load), [end[0] + (comm.rank == comm.size - 1)]) is None
+    last.forget()
+    assert last.changes(values(load), end) is None
+
+
+def blocks(thickness=0.5):
+    """Meshes of a block and of a slender beam above it, with tags of facets."""
+    low = (1, -thickness), (1, thickness)
+    return [
+        meshes.block(comm, n, lambda x, at=at, size=size: x * size + at, cell="quadrilateral")
+        for n, at, size in (((6, 3), *low), ((60, 2), (0, 0.35), (2, 0.05)))
+    ]
+
+
+def lower(num, thickness=0.5):
+    """Lower a clamped beam onto a block in even load steps: Newton steps of each, and the force."""
+    u, F, bcs, sides, counts = [], [], [], [], []
+    parts = blocks(thickness)
+    goal = fem.Constant(parts[1][0], default_scalar_type((0, 0)))
+    for i, (mesh, ft) in enumerate(parts):
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body = Elastic.on(V, lame_constants(1.0), large=True)
+        u.append(body.u)
+        F.append(body.F)
+        away = fem.locate_dofs_topological(V, 1, ft.find(meshes.LEFT))
+        value = goal if i else default_scalar_type((0, 0))
+        bcs.append(fem.dirichletbc(value, away, V))
+        faces = [ft.find(tag) for tag in (meshes.BOTTOM, meshes.TOP)]
+        sides.append((V, np.sort(np.concatenate(faces))))
+    contact = Contact.between(*sides)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    for down in np.linspace(0, 0.5, num + 1)[1:]:
+        goal.value[:] = 0.2 * down, -down
+        problem.solve()
+        counts.append(problem.iterations)
+        assert problem.halvings == 0
+    return counts, contact.force(problem)
+
+
+@pytest.mark.ranks(2)
+def test_no_steps_before_contact(monkeypatch):
+    """A slender body that is moved without contact needs no Newton steps but in the first step."""
+    counts, force = lower(5)
+    monkeypatch.setattr(Extrapolation, "changes", lambda *args: None)
+    without, same = lower(5)
+    assert counts[1:3] == [0, 0] and min(without) >= 1 and counts[3:] == without[3:]
+    np.testing.assert_allclose(force, same, 1e-6 * np.linalg.norm(same))
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("num", (2, 3, 4))
+def test_not_through_a_thin_body(num):
+    """A start beyond a strip that is as thick as the beam, without an overlap there, isn't one."""
+    counts, force = lower(num, 0.05)
+    assert counts[-1] >= 2 and force[1] > 1e-6
+
+
+@pytest.mark.ranks(2)
+def test_start_with_inverted_cells(monkeypatch):
+    """A start that leads too far is shortened, not the load step."""
+    changes, called = Extrapolation.changes, []
+
+    def too_far(self, load, now):
+        found = changes(self, load, now)
+        if found:  # the block is turned over along y
+            V = fem.functionspace(blocks()[0][0], ("Lagrange", 1, (2,)))
+            y = V.tabulate_dof_coordinates()[: len(now[0]) // 2, 1]
+            found[0] = np.column_stack((0 * y, -1.2 * (y + 0.5))).ravel()
+            called.append(True)
+        return found
+
+    monkeypatch.setattr(Extrapolation, "changes", too_far)
+    counts, _ = lower(5)
+    assert called and max(counts) <= 8
