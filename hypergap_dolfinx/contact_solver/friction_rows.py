@@ -352,21 +352,24 @@ class FrictionRows(ContactRows):
     def is_closed(self, nothing: float) -> bool:
         """True if active gaps are closed, sticking vertices don't slip, and |q| is μ p at others.
 
-        Slip must oppose q there. It is along q where a body has turned back.
+        Slip must oppose q there. It is along q where a body has turned back. Where μ p is no force,
+        all slips are right.
         """
-        now, rigid = self.state, self.stuck
+        now = self.state
         bound, _ = self._bounds(now.p)
-        target = bound * now.way
+        presses = bound * self.m > nothing
+        rigid, target = self.stuck, bound * now.way
         if self._soft:
             rigid = np.zeros_like(now.active)
             target = -bound * self._shortened() / self._soft
-        slip = np.abs(self.slip[:, rigid]).max(initial=0)
+        slip = np.abs(self.slip[:, rigid & presses]).max(initial=0)
         if not self._soft:
             along = (self.slip * now.way).sum(axis=0)
-            slip = max(slip, along[now.active & ~rigid & (self.mu > 0)].max(initial=0))
-        error = np.abs(now.q - target)[:, now.active & ~rigid].max(initial=0)
+            slip = max(slip, along[now.active & ~rigid & presses].max(initial=0))
+        error = np.abs(now.q - target)
         none = max(EXCEEDS * bound.max(initial=0), self._zero)
-        return super().is_closed(nothing) and slip <= self.closed and error <= none
+        wrong = now.active & ~rigid & (error > none) & (error * self.m > nothing)
+        return super().is_closed(nothing) and slip <= self.closed and not wrong.any()
 
     @property
     def is_exact(self) -> bool:

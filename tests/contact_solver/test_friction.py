@@ -520,3 +520,30 @@ def test_ironing_in_space(mu, swap):
         go(1, down)
     assert max(counts) <= (8 if mu < 1 else 10), str(counts)
     assert not scene.contact.active.any()
+
+
+def test_touching_without_force():
+    """Blocks turned by 240° that meet in the end: slips are free where forces are round-off."""
+    u, F, bcs, sides, moves, gap = [], [], [], [], [], 0.1
+    for i, n in enumerate(((5, 3), (4, 3))):
+        low, size = np.array((0.3 * i, i * (1 + gap) - 1)), np.array((2 - 0.6 * i, 1))
+        body = rectangle(n, low, low + size)
+        elastic = Elastic.on(body.V, (10.0, 10.0), large=True)
+        u.append(elastic.u)
+        F.append(elastic.F)
+        away = body.facets((meshes.BOTTOM, meshes.TOP)[i])
+        moves.append(fem.Function(body.V))
+        dofs = fem.locate_dofs_topological(body.V, 1, away)
+        bcs.append(fem.dirichletbc(moves[i], dofs))
+        sides.append((body.V, body.facets((meshes.TOP, meshes.BOTTOM)[i])))
+    contact = Contact.between(*sides, friction=0.2)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    for k in range(1, 5):
+        angle = np.pi * k / 3
+        turn = np.array(((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))))
+        for i, move in enumerate(moves):
+            down = np.array([[0], [i * gap * k / 4]])
+            move.interpolate(lambda x, down=down, turn=turn: turn @ (x[:2] - down) - x[:2])
+        problem.solve()
+        assert problem.halvings == 0 and problem.iterations <= 20
+    assert np.linalg.norm(contact.force(problem)) <= 1e-11
