@@ -43,16 +43,6 @@ def mean_diagonal(K: PETSc.Mat) -> float:
     return mean
 
 
-def column_sums(B: PETSc.Mat) -> PETSc.Vec:
-    """Sums of absolute values of each column. Collective."""
-    sums = B.createVecRight()
-    sums.set(0.0)
-    _, columns, values = B.getValuesCSR()
-    sums.setValues(columns, np.abs(values), addv=PETSc.InsertMode.ADD)
-    sums.assemble()
-    return sums
-
-
 def nonzero_columns(
     B: PETSc.Mat, rows: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.intp]:

@@ -9,9 +9,11 @@ preconditioner takes a tie in one direction, from Γ0 to Γ1 (Dirichlet–Neuman
 2. solves Γ1's body under these displacements, and reads the multipliers off its residual,
 3. loads Γ0's body with them and solves it.
 
-It neglects that Γ0 moves Γ1. So the preconditioned operator is :math:`I + S_0^{-1} P^T S_1 P` on
-Γ0, with the bodies' Schur complements :math:`S_i` and :math:`P = -B_1^{-1}B_0`: the number of
-iterations doesn't depend on the mesh; it grows as Γ1's body is stiffer than Γ0's.
+It neglects that Γ0 moves Γ1, but for rigid motions of Γ0: the stiffness with which Γ1's body holds
+these is added to Γ0's body, which nothing else may hold. For other displacements of Γ0 the
+preconditioned operator is :math:`I + S_0^{-1} P^T S_1 P`, with the bodies' Schur complements
+:math:`S_i` and :math:`P = -B_1^{-1}B_0`: the number of iterations doesn't depend on the mesh; it
+grows as Γ1's body is stiffer than Γ0's.
 """
 
 from collections.abc import Sequence
@@ -26,10 +28,11 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
 from hypergap_dolfinx.algebra.checks import name_of_body
-from hypergap_dolfinx.algebra.rigid_motions import rigid_modes
+from hypergap_dolfinx.algebra.hierarchy import nest
+from hypergap_dolfinx.algebra.rigid_motions import mean, motions, places
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.graph import parts
-from hypergap_dolfinx.core.sparse import column_sums, mean_diagonal, product
+from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal, nonzero_columns
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
 from hypergap_dolfinx.solvers.tolerances import FIRST, RESCALE
 
@@ -219,31 +222,25 @@ class Body:
     """A body's part in a step: its solver, with Γ1's own dofs held if it has any."""
 
     def __init__(
-        self,
-        K: PETSc.Mat,
-        modes: npt.NDArray[np.float64],
-        prefix: str,
-        held: dict[int, tuple[PETSc.Mat, npt.NDArray[np.int32]]],
-        loaded: Sequence[PETSc.Mat],
+        self, K: PETSc.Mat, prefix: str, held: dict[int, tuple[PETSc.Mat, npt.NDArray[np.int32]]]
     ):
         """Set up the solvers, without values yet. Collective.
 
         Args:
             K: Stiffness.
-            modes: Its :func:`~hypergap_dolfinx.algebra.rigid_motions.rigid_modes`.
             prefix: Prefix of the solvers' options.
             held: For each tie whose Γ1 the body has, B₁ and the dofs under its rows.
-            loaded: B₀ of the ties whose Γ0 the body has.
         """
-        self._K, self._modes, self._loaded = K, modes, loaded
+        self._K = K
         start, end = K.getOwnershipRange()
         own = np.concatenate([[], *(own for _, own in held.values())])
         free = np.setdiff1d(np.arange(start, end), own).astype(PETSc.IntType)
         self._own = {t: own - start for t, (_, own) in held.items()}
         self._part = free - start
-        self._is = PETSc.IS().createGeneral(free, comm=K.comm) if held else None
+        self._is = PETSc.IS().createGeneral(free, comm=K.comm)
         self._u, self._r = K.createVecs()
         self._solver = create_solver(f"{prefix}body_", K.comm)
+        self._others = np.zeros((K.getLocalSize()[0], 0))
         self._matrix: PETSc.Mat | None = None
         self._vectors: tuple[PETSc.Vec, ...] = ()
         self._squares = {}
@@ -265,43 +262,29 @@ class Body:
             if obj is not None:
                 obj.destroy()
 
-    def set_up(self):
-        """Take the present stiffness. Collective."""
+    def set_up(self, others: npt.NDArray):
+        """Take the present stiffness, and add Y Yᴴ of the bodies that Γ0 moves. Collective.
+
+        Args:
+            others: This rank's rows of Y.
+        """
         for obj in (self._matrix, *self._vectors):
             if obj is not None:
                 obj.destroy()
-        if self._is is not None:
-            self._matrix = self._K.createSubMatrix(self._is, self._is)
-        else:
-            self._matrix = self._K.copy()
-            self._pin(self._matrix)
+        self._others = others
+        self._matrix = self._K.createSubMatrix(self._is, self._is)
+        if others.shape[1]:
+            self._matrix = _bordered(self._matrix, others[self._part])
         self._vectors = self._matrix.createVecs()
         self._solver.setOperators(self._matrix)
         self._solver.setUp()
 
-    def _pin(self, matrix: PETSc.Mat):
-        """Hold a body that floats by springs at as many dofs of Γ0 as it has rigid motions."""
-        K, Q, comm = self._K, self._modes, self._K.comm.tompi4py()
-        stiffness = mean_diagonal(K)
-        _, force, vectors = np.linalg.svd(comm.allreduce(Q.T @ product(K, Q)) / stiffness)
-        floating = Q @ vectors[force < NOTHING].conj().T
-        if not floating.shape[1] or not self._loaded:
-            return
-        sums = sum(column_sums(B).array_r.real for B in self._loaded)
-        on = np.flatnonzero(sums > 0)
-        dofs = np.concatenate(comm.allgather(on + K.getOwnershipRange()[0]))
-        rows = np.concatenate(comm.allgather(floating[on]))
-        springs = K.createVecRight()
-        springs.set(0.0)
-        for _ in range(floating.shape[1]):  # Gram and Schmidt, the largest first
-            k = np.linalg.norm(rows, axis=1).argmax()
-            direction = rows[k] / np.linalg.norm(rows[k])
-            rows = rows - np.outer(rows @ direction.conj(), direction)
-            if comm.rank == 0:
-                springs.setValue(int(dofs[k]), stiffness)
-        springs.assemble()
-        matrix.setDiagonal(matrix.getDiagonal() + springs)
-        springs.destroy()
+    def forces(self, u: npt.NDArray) -> npt.NDArray:
+        """Forces that make displacements, with those on the others. Collective."""
+        self._u.array[:] = u
+        self._K.mult(self._u, self._r)
+        comm = self._K.comm.tompi4py()
+        return self._r.array_r + self._others @ comm.allreduce(self._others.conj().T @ u)
 
     def solve(self, r: npt.NDArray, constraints: Sequence[npt.NDArray]):
         """Displacements, and the multipliers that hold Γ1's. Collective.
@@ -314,10 +297,12 @@ class Body:
             This rank's displacements, and the multipliers of each tie.
         """
         u, b, x = self._u, *self._vectors[::-1]
+        num = len(self._part)
+        b.set(0.0)
         if not self._own:
-            b.array[:] = r
+            b.array[:num] = r
             self._solver.solve(b, x)
-            return x.array_r, []
+            return x.array_r[:num], []
         u.set(0.0)
         for (t, own), value in zip(self._own.items(), constraints, strict=True):
             solver, x1, b1 = self._squares[t]
@@ -327,10 +312,10 @@ class Body:
         known = u.array_r.copy()
         self._K.mult(u, self._r)
         rest = r - self._r.array_r
-        b.array[:] = rest[self._part]
+        b.array[:num] = rest[self._part]
         self._solver.solve(b, x)
         u.array[:] = known
-        u.array[self._part] += x.array_r
+        u.array[self._part] += x.array_r[:num]
         self._K.mult(u, self._r)
         rest = r - self._r.array_r
         multipliers = []
@@ -340,6 +325,27 @@ class Body:
             solver.solveTranspose(x1, b1)
             multipliers.append(b1.array_r.copy())
         return u.array_r, multipliers
+
+
+def _bordered(K: PETSc.Mat, Y: npt.NDArray) -> PETSc.Mat:
+    """[K sY; sYᴴ −s²] with a factor s of the size of Y: K + Y Yᴴ, sparse. Collective.
+
+    Args:
+        K: The matrix, which is destroyed.
+        Y: This rank's rows.
+    """
+    comm, num, scale = K.comm, Y.shape[1], mean_diagonal(K)
+    at_end = num * (comm.rank == comm.size - 1)
+    i, j = np.nonzero(Y)
+    entries = K.getOwnershipRange()[0] + i, j, scale**0.5 * Y[i, j]
+    border = coo_matrix(comm, (K.getLocalSize()[0], at_end), *entries)
+    adjoint = border.copy().hermitianTranspose()
+    corner = PETSc.Mat().createConstantDiagonal(((at_end, num),) * 2, -scale, comm).convert("aij")
+    nested = nest([[K, border], [adjoint, corner]], comm)
+    found = nested.convert("aij", PETSc.Mat())
+    for obj in (nested, K, border, adjoint, corner):
+        obj.destroy()
+    return found
 
 
 def create_solver(prefix: str, comm) -> PETSc.KSP:
@@ -368,12 +374,12 @@ class Substructures:
         moved = zip(constraints.moved, constraints.bodies, strict=True)
         self._sides = [(others, i1) for others, (_, i1) in moved]
         self._order = order_of_bodies(len(self._K), _directions(constraints))
-        spaces = zip(system.spaces, constraints.prescribed, strict=True)
-        self._modes = [rigid_modes(V, held, *parts(V)) for V, held in spaces]
+        self._spaces, self._prescribed = system.spaces, constraints.prescribed
         sizes = [k.getLocalSize()[0] for k in self._K] + [len(own) for own in self._own]
         ends = np.cumsum([0, *sizes])
         self._parts = [slice(*pair) for pair in pairwise(ends)]
         self._solvers: list[Body] = []
+        self._moves: list[tuple[npt.NDArray, list[tuple[int, int, npt.NDArray]]]] = []
         self._loads: dict[tuple[int, int], tuple[PETSc.Vec, PETSc.Vec]] = {}
 
     def setUp(self, pc: PETSc.PC):
@@ -381,18 +387,102 @@ class Substructures:
         if not self._solvers:
             prefix = pc.getOptionsPrefix() or ""
             for i, K in enumerate(self._K):
-                held = {
-                    t: (self._B[t][i], self._own[t])
-                    for t, (_, i1) in enumerate(self._sides)
-                    if i1 == i
-                }
-                loaded = [self._B[t][i] for t, (moved, _) in enumerate(self._sides) if i in moved]
-                self._solvers.append(Body(K, self._modes[i], prefix, held, loaded))
-            for t, (moved, _) in enumerate(self._sides):
-                for i in moved:
+                held = {t: (self._B[t][i], self._own[t]) for t in self._held_by(i)}
+                self._solvers.append(Body(K, prefix, held))
+            for t, (moved, i1) in enumerate(self._sides):
+                for i in (*moved, i1):
                     self._loads[t, i] = self._B[t][i].createVecs()  # type: ignore[union-attr]
-        for body in self._solvers:
-            body.set_up()
+            self._moves = [self._motions(i) for i in range(len(self._K))]
+        for i in self._order:
+            self._solvers[i].set_up(self._others(i))
+
+    def _motions(self, i: int) -> tuple[npt.NDArray, list[tuple[int, int, npt.NDArray]]]:
+        """Rigid motions of a body's Γ0, part by part, and how others move along. Collective.
+
+        Returns:
+            This rank's rows of the motions, columns of length 1; for each body with Γ1 on Γ0 and
+            each column that moves it: both numbers, and the same motion of that body.
+        """
+        V, size = self._spaces[i], self._K[i].getLocalSize()[0]
+        bs, comm, (part, num_parts) = V.dofmap.index_map_bs, V.mesh.comm, parts(V)
+        moves: dict[int, npt.NDArray] = {}  # dofs that move each body with Γ1
+        for (others, j), row in zip(self._sides, self._B, strict=True):
+            if i in others:
+                at = nonzero_columns(row[i])
+                moves.setdefault(j, np.zeros(size))[at] = 1
+        if not moves:
+            return np.zeros((size, 0)), []
+        on = np.max(list(moves.values()), axis=0)
+        centre = mean(comm, [places(V)[on.reshape(-1, bs).any(axis=1)]])
+        masks = np.repeat(part, bs) == np.arange(num_parts)[:, None]
+        Q = np.hstack([motions(V, centre) * (on * mask)[:, None] for mask in masks])
+        sizes = np.sqrt(np.maximum(comm.allreduce((Q**2).sum(axis=0)), 1e-300))
+        along = []
+        for j, of in sorted(moves.items()):
+            R = motions(self._spaces[j], centre) * ~self._prescribed[j][:, None]
+            for k in np.flatnonzero(comm.allreduce(of @ np.abs(Q))).tolist():
+                along.append((j, k, R[:, k % R.shape[1]] / sizes[k]))
+        return Q / sizes, along
+
+    def _others(self, i: int) -> npt.NDArray:
+        """Y of a body: Y Yᴴ is the others' stiffness in rigid motions of its Γ0. Collective.
+
+        For their stiffness S on Γ0 and motions Q, S Q (QᴴS Q)⁻¹ (S Q)ᴴ is S in these motions.
+        """
+        Q, along = self._moves[i]
+        forces = np.zeros(Q.shape, PETSc.ScalarType)
+        for j, k, motion in along:
+            forces[:, k] += self._force(i, Q[:, k], j, motion)
+        energies = self._K[i].comm.tompi4py().allreduce(Q.T @ forces)
+        values, vectors = np.linalg.eigh((energies + energies.conj().T) / 2)
+        some = values > NOTHING * mean_diagonal(self._K[i])
+        return forces @ (vectors[:, some] / np.sqrt(self._excess(i) * values[some]))
+
+    def _force(self, i: int, u: npt.NDArray, j: int, along: npt.NDArray) -> npt.NDArray:
+        """Forces on a body's Γ0 by a body with Γ1 that moves along with it. Collective.
+
+        Args:
+            i: The body with Γ0.
+            u: Its displacements.
+            j: The body with Γ1.
+            along: Displacements with which it would follow if nothing held it.
+        """
+        held, found, gaps = self._held_by(j), np.zeros(len(u)), []
+        for t in held:
+            gap = self._gap(t, j, along)
+            gaps.append(-gap - self._gap(t, i, u) if i in self._sides[t][0] else -gap)
+        _, multipliers = self._solvers[j].solve(-self._solvers[j].forces(along), gaps)
+        for t, value in zip(held, multipliers, strict=True):
+            if i in self._sides[t][0]:
+                found = found + self._load(t, i, value)
+        return found
+
+    def _gap(self, t: int, i: int, u: npt.NDArray) -> npt.NDArray:
+        """Gaps of a tie from displacements of one body. Collective."""
+        displacement, gap = self._loads[t, i]
+        displacement.array[:] = u
+        self._B[t][i].mult(displacement, gap)  # type: ignore[union-attr]
+        return gap.array_r.copy()
+
+    def _load(self, t: int, i: int, multipliers: npt.NDArray) -> npt.NDArray:
+        """Forces of a tie's multipliers on a body. Collective."""
+        load, multiplier = self._loads[t, i]
+        multiplier.array[:] = multipliers
+        self._B[t][i].multTranspose(multiplier, load)  # type: ignore[union-attr]
+        return load.array_r.copy()
+
+    def _excess(self, i: int) -> float:
+        """Ratio by which bodies with Γ1 on a body's Γ0 are stiffer, or 1.
+
+        The eigenvalues of the preconditioned system are about so large then. Without it those of
+        the rigid motions would be 1, outside of the others.
+        """
+        tied = [mean_diagonal(self._K[i1]) for others, i1 in self._sides if i in others]
+        return max([1.0, *(of / mean_diagonal(self._K[i]) for of in tied)])
+
+    def _held_by(self, i: int) -> list[int]:
+        """The ties that hold a body's Γ1."""
+        return [t for t, (_, i1) in enumerate(self._sides) if i1 == i]
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec):
         """A step. Collective."""
@@ -400,16 +490,13 @@ class Substructures:
         r = [x.array_r[part] for part in self._parts]
         result = y.array
         for i in self._order:
-            ties = [t for t, (_, i1) in enumerate(self._sides) if i1 == i]
+            ties = self._held_by(i)
             u, multipliers = self._solvers[i].solve(r[i], [r[num_bodies + t] for t in ties])
             result[self._parts[i]] = u
             for t, value in zip(ties, multipliers, strict=True):
                 result[self._parts[num_bodies + t]] = value
                 for j in self._sides[t][0]:
-                    load, multiplier = self._loads[t, j]
-                    multiplier.array[:] = value
-                    self._B[t][j].multTranspose(multiplier, load)  # type: ignore[union-attr]
-                    r[j] = r[j] - load.array_r
+                    r[j] = r[j] - self._load(t, j, value)
 
     def destroy(self, pc: PETSc.PC | None = None):
         """Destroy the PETSc objects. Collective."""

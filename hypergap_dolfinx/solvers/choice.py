@@ -61,17 +61,13 @@ def create(
 
 
 class BudgetedBodies(Bodies):
-    """``"bodies"`` as a default: where it converges in few iterations."""
+    """``"bodies"`` as a default."""
 
     OPTIONS = {**Bodies.OPTIONS, "ksp_max_it": BUDGET_BODIES}  # noqa: RUF012
 
     @classmethod
     def why_not(cls, system: System) -> str | None:
-        """Reason why not, or None: rigid motions that only multipliers hold are slow. Collective.
-
-        Γ1's displacements hold a body in a step, prescribed ones always; springs in its place are
-        far softer than the tie.
-        """
+        """Reason why not, or None: multigrid for bodies that Γ0 alone holds. Collective."""
         reason = super().why_not(system)
         if reason:
             return reason
@@ -83,7 +79,7 @@ class BudgetedBodies(Bodies):
             return None
         body = int(held.argmin())
         name = name_of_body(body, spaces[body])
-        return f"{name} has neither Γ1 nor prescribed values, which takes many iterations"
+        return f"{name} has neither Γ1 nor prescribed values"
 
 
 class BudgetedMultigrid(Multigrid):

@@ -22,7 +22,7 @@ from dolfinx.fem import petsc
 from hypergap_dolfinx import SolveError, Tie, TiedProblem
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.solvers import choice
-from hypergap_dolfinx.solvers.bodywise import order_of_bodies
+from hypergap_dolfinx.solvers.bodywise import Substructures, order_of_bodies
 
 comm = MPI.COMM_WORLD
 
@@ -114,13 +114,108 @@ def test_solvers_agree(dim, kind, solver, tolerance):
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))
 @pytest.mark.parametrize("held", ((0,), (2,)))
 def test_bodies_held_by_ties_alone(solver, held):
-    """Among them one that carries no Γ1: nothing but springs would hold it on its own."""
+    """Among them one that carries no Γ1: nothing would hold it on its own."""
     a, L, bcs, ties = pile(2, stiffness=(1.0, 1.0, 1.0), held=held)
     direct = TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct")
     direct.solve()
     problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver=solver)
     problem.solve()
     assert difference(problem, direct) <= (1e-9 if solver == "bodies" else 1e-6)
+
+
+HOLDS = {
+    "floor": lambda V: (None, None),
+    "floats": lambda V: ((), None),
+    "one component": lambda V: (V.sub(2), None),
+    "soft floor": lambda V: ((), 1e-2),
+}
+"""How the lower body of two is held: the prescribed space (all if None), stiffness of a floor."""
+
+
+def held_blocks(how, stiffness=(1.0, 1.0), num=(7, 6)):
+    """Two blocks in space, of which the upper one, with Γ1, is clamped."""
+    a, L, bcs, ties = pile(3, stiffness=stiffness, held=(0, 1), num=num)
+    V = ties[0].spaces[0]
+    space, floor = HOLDS[how](V)
+    low = dolfinx.mesh.locate_entities_boundary(V.mesh, 2, lambda x: np.isclose(x[2], 0))
+    if space is not None:
+        bcs = bcs[1:]
+        if space != ():
+            dofs = fem.locate_dofs_topological(space, 2, low)
+            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, space))
+    if floor:
+        tags = dolfinx.mesh.meshtags(V.mesh, 2, np.sort(low), np.ones(len(low), dtype=np.int32))
+        ds = ufl.Measure("ds", V.mesh, subdomain_data=tags)
+        k = fem.Constant(V.mesh, default_scalar_type(floor))
+        a[0] += k * ufl.inner(*a[0].arguments()[::-1]) * ds(1)
+    return TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+
+
+@pytest.mark.ranks(2, how=["floats"])
+@pytest.mark.parametrize("how", HOLDS)
+def test_iterations_of_a_body_with_smooth_side_alone(how):
+    """As many however the body is held, and whatever the contrast."""
+    pytest.importorskip("gmsh")
+    its = []
+    for stiffness in ((1.0, 1.0), (1.0, 1e-3), (1.0, 1e3)):
+        problem = held_blocks(how, stiffness)
+        problem.solve()
+        its.append(problem.iterations)
+    assert (np.array(its) <= (31, 9, 57)).all(), str(its)  # springs: up to 45, 19, over 120
+
+
+def test_rigid_motions_of_a_soft_body(monkeypatch):
+    """Their eigenvalues are amid the others, if these are large."""
+    pytest.importorskip("gmsh")
+    its = []
+    for _ in range(2):
+        problem = held_blocks("floor", (1.0, 1e3), (13, 12))
+        problem.solve()
+        its.append(problem.iterations)
+        monkeypatch.setattr(Substructures, "_excess", lambda self, i: 1.0)
+    assert its[0] <= 0.8 * its[1], str(its)  # 116 and 161
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("kind", ("vector", "scalar"))
+def test_what_floats_resists_no_rigid_motion(monkeypatch, kind):
+    """Nor if its Γ1 has nodes beyond the other side: these go along, too."""
+    found, others = [], Substructures._others
+
+    def recorded(self, i):
+        found.append(others(self, i))
+        return found[-1]
+
+    monkeypatch.setattr(Substructures, "_others", recorded)
+    V, sides, a = [], [], []
+    for size, n, low, tag in (((2.4, 1.4, 0.5), 5, -0.5, "FRONT"), ((1, 1, 1), 4, 0, "BACK")):
+        shift = (0.2 * (low == 0), 0.2 * (low == 0), low)
+        mesh, ft = meshes.block(
+            comm, (n, n, 2), lambda x, size=size, shift=shift: x * size + shift, cell="tetrahedron"
+        )
+        V.append(fem.functionspace(mesh, ("Lagrange", 2, (3,) if kind == "vector" else ())))
+        sides.append((V[-1], ft.find(getattr(meshes, tag))))
+        u, v = ufl.TrialFunction(V[-1]), ufl.TestFunction(V[-1])
+        strain = (lambda w: ufl.sym(ufl.grad(w))) if kind == "vector" else ufl.grad
+        a.append(ufl.inner(strain(u), strain(v)) * ufl.dx)
+    top = dolfinx.mesh.locate_entities_boundary(V[1].mesh, 2, lambda x: np.isclose(x[2], 1))
+    bc = fem.dirichletbc(fem.Function(V[1]), fem.locate_dofs_topological(V[1], 2, top))
+    problem = TiedProblem(a, [None, None], bcs=[bc], ties=[Tie(*sides[::-1])], solver="bodies")
+    problem.solve()
+    assert len(found) == 2
+    assert all(np.abs(Y).max(initial=0) <= 1e-5 for Y in found)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("flip", (False, True))
+@pytest.mark.parametrize("held", ((0,), (3,), (0, 3)))
+def test_iterations_of_bodies_in_a_row(held, flip):
+    """However they are held; each takes along those behind it."""
+    pytest.importorskip("gmsh")
+    a, L, bcs, ties = pile(3, stiffness=(1.0,) * 4, held=held, flip=flip, num=(5, 4))
+    problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
+    problem.solve()
+    assert problem.iterations <= 45  # 30 to 42
 
 
 def test_too_many_bodies_in_a_row():
@@ -588,7 +683,7 @@ def test_the_default(monkeypatch):
 
 @pytest.mark.ranks(2)
 def test_the_default_of_bodies_that_ties_hold(monkeypatch, caplog):
-    """With Γ0 alone a floating body takes "bodies" many iterations: multigrid is the default."""
+    """As many iterations with Γ0 alone; multigrid is the default then, and takes less time."""
     monkeypatch.setattr(choice, "LARGE_SYSTEM", 100)
     iterations = []
     for flip in (False, True):
@@ -601,7 +696,7 @@ def test_the_default_of_bodies_that_ties_hold(monkeypatch, caplog):
         problem.solve()
         assert problem.solver_name == ("iterative" if flip else "bodies")
         assert difference(problem, named) <= 1e-8
-    assert iterations[1] > 1.5 * iterations[0]
+    assert iterations[1] <= 1.4 * iterations[0], str(iterations)  # 36 and 28; with springs 74
     assert comm.rank or 'not "bodies", body 2 has neither Γ1 nor' in caplog.text
 
 
