@@ -436,7 +436,8 @@ class Substructures:
         energies = self._K[i].comm.tompi4py().allreduce(Q.T @ forces)
         values, vectors = np.linalg.eigh((energies + energies.conj().T) / 2)
         some = values > NOTHING * mean_diagonal(self._K[i])
-        return forces @ (vectors[:, some] / np.sqrt(self._excess(i) * values[some]))
+        scales = np.sqrt(self._excess(i) * np.where(some, values, 1))
+        return forces @ (vectors * (some / scales))  # as many columns with any stiffness
 
     def _force(self, i: int, u: npt.NDArray, j: int, along: npt.NDArray) -> npt.NDArray:
         """Forces on a body's Γ0 by a body with Γ1 that moves along with it. Collective.
