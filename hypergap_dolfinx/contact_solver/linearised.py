@@ -231,7 +231,8 @@ class LinearisedContact:
 
         If Newton's method fails, it is repeated from the pressures with which new rows don't rub,
         and then with a compliance of the rows that falls to zero. With a large one there is one
-        solution.
+        solution, multipliers of zero. Gaps have the round-off of the compliance times A. A step of
+        the path that fails is halved.
         """
         whole = y0, f0, A, B, of
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
@@ -240,12 +241,19 @@ class LinearisedContact:
             found = self._newton(y0, f0, A, B, of, self._pressed(*whole))
         if found is not None:
             return found
-        for share in (*give * SHORTENED ** np.arange(-1.0, 2 * TRIALS), 0.0):
-            found = self._newton(y0 + share * f0, f0, A, B + share * A, of, z)
+        z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=None)[0], -1.0, 1.0, 0
+        while failures < TRIALS:
+            share = give * SHORTENED**power if power < 2 * TRIALS else 0.0
+            zero = 1 + share * np.abs(A).max()
+            found = self._newton(y0 + share * f0, f0, A, B + share * A, of, z, zero)
             if found is None:
-                return None
-            z = found
-        return z
+                step, failures = step / 2, failures + 1
+                power -= step
+            elif share:
+                z, power = found, power + step
+            else:
+                return found
+        return None
 
     def _pressed(self, y0, f0, A, B, of) -> Array:
         """The unknowns if rows that come have no traction; zero without a solution."""
@@ -255,18 +263,19 @@ class LinearisedContact:
         z[on] = 0 if found is None else found
         return z
 
-    def _newton(self, y0, f0, A, B, of, z) -> Array | None:
+    def _newton(self, y0, f0, A, B, of, z, zero=1.0) -> Array | None:
         """Newton's method with a line search, and with full steps if that finds no descent.
 
         Errors of gaps and of forces have no common scale. In a stiff row a smaller error of the gap
-        may need a larger error of the force, and a line search finds no descent.
+        may need a larger error of the force, and a line search finds no descent. ``zero`` is a
+        factor of what is treated as zero.
         """
-        found = self._descended(y0, f0, A, B, of, z, TRIALS)
-        return self._descended(y0, f0, A, B, of, z, 0) if found is None else found
+        found = self._descended(y0, f0, A, B, of, z, zero, TRIALS)
+        return self._descended(y0, f0, A, B, of, z, zero, 0) if found is None else found
 
-    def _descended(self, y0, f0, A, B, of, z, trials: int) -> Array | None:
+    def _descended(self, y0, f0, A, B, of, z, zero: float, trials: int) -> Array | None:
         """Newton's method with so many trials of a shorter step; all steps are full for none."""
-        laws = self._laws(y0 + B @ z, f0 + A @ z, of)
+        laws = self._laws(y0 + B @ z, f0 + A @ z, of, zero)
         for _ in range(STEPS):
             if laws.are_satisfied:
                 return z
@@ -278,7 +287,7 @@ class LinearisedContact:
             size, share, start = np.linalg.norm(laws.error), 1.0, z
             for _ in range(max(trials, 1)):
                 z = start + share * way
-                laws = self._laws(y0 + B @ z, f0 + A @ z, of)
+                laws = self._laws(y0 + B @ z, f0 + A @ z, of, zero)
                 if not trials or np.linalg.norm(laws.error) < size:
                     break
                 share /= 2
@@ -286,7 +295,7 @@ class LinearisedContact:
                 return None
         return None
 
-    def _laws(self, y, f, of) -> "_Laws":
+    def _laws(self, y, f, of, zero=1.0) -> "_Laws":
         """Laws of some unknowns at their gaps and multipliers, ``(len(of),)`` each."""
         found, start = _Laws(np.zeros(len(of)), True, []), 0
         place = np.full(self._on.shape, -1)
@@ -300,7 +309,7 @@ class LinearisedContact:
             rows = places[:, at]
             error, by_y, by_f, least = part.law(y[rows], f[rows], at)
             found.error[rows] = error
-            found.are_satisfied &= bool((np.abs(error) <= least).all())
+            found.are_satisfied &= bool((np.abs(error) <= zero * least).all())
             found.parts.append((rows, by_y, by_f))
         return found
 
