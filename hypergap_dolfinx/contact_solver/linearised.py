@@ -229,16 +229,12 @@ class LinearisedContact:
     def _law(self, y0, f0, A, B, of, z) -> Array | None:
         """The unknowns with friction.
 
-        If Newton's method fails, it is repeated from the pressures with which new rows don't rub,
-        and then with a compliance of the rows that falls to zero. With a large one there is one
-        solution, multipliers of zero. Gaps have the round-off of the compliance times A. A step of
-        the path that fails is halved.
+        If Newton's method fails, it is repeated with a compliance of the rows that falls to zero.
+        With a large one there is one solution, multipliers of zero. Gaps have the round-off of the
+        compliance times A. A step of the path that fails is halved.
         """
-        whole = y0, f0, A, B, of
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
         found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
-        if found is None:
-            found = self._newton(y0, f0, A, B, of, self._pressed(*whole))
         if found is not None:
             return found
         z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=None)[0], -1.0, 1.0, 0
@@ -254,14 +250,6 @@ class LinearisedContact:
             else:
                 return found
         return None
-
-    def _pressed(self, y0, f0, A, B, of) -> Array:
-        """The unknowns if rows that come have no traction; zero without a solution."""
-        normal = [np.arange(part.num_unknowns) < len(part.g) for part in self._rows]
-        z, on = np.zeros(len(of)), np.concatenate(normal)[of]
-        found = self._lcp(y0, f0, A[:, on], B[:, on], of[on], z[on])
-        z[on] = 0 if found is None else found
-        return z
 
     def _newton(self, y0, f0, A, B, of, z, zero=1.0) -> Array | None:
         """Newton's method with a line search, and with full steps if that finds no descent.
