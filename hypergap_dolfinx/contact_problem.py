@@ -356,7 +356,7 @@ class ContactProblem(ContactSystem):
         if not self._num_steps:
             self._warn_of_stiffness(self._comm)
             self._warn_of_chords(self._comm)
-        done, size, again = 0.0, 1.0, False
+        done, size, ahead = 0.0, 1.0, None
         while done < 1:
             before, values = self._state(), [u.x.array.copy() for u in self._set]
             internal = self._hooks.copies()
@@ -364,7 +364,8 @@ class ContactProblem(ContactSystem):
             self._path.interpolate(s)
             load = self._path.increments(done, s)
             try:
-                ahead = self._ahead(load, before) if again or not self._last.in_contact else None
+                if not self._last.in_contact:
+                    ahead = self._ahead(load, before)
                 self._newton(ahead, damps=self._halvings > 0)
                 self._accept(s)
             except (SolveError, InterfaceError, InvertedCellError) as error:
@@ -383,8 +384,9 @@ class ContactProblem(ContactSystem):
                         f"contact: {error}{lost} The load step can't be halved: no value has "
                         "changed since the last one, or since the problem was made (load it then)."
                     ) from error
-                again = not again and self._last.in_contact and bool(self._ahead(load, before))
-                if again:
+                first = ahead is None and self._last.in_contact
+                ahead = self._ahead(load, before) if first else None
+                if ahead is not None:
                     self._records.tell(f"tried again from another start: {error}")
                     continue
                 size /= 2
@@ -406,7 +408,7 @@ class ContactProblem(ContactSystem):
                 now = self._state()
                 on = any(state.p.any() for state in (*before.contacts, *now.contacts))
                 self._last.remember(load, before.values, now.values, in_contact=on)
-                done, size, again = s, min(2 * size, 1.0), False
+                done, size, ahead = s, min(2 * size, 1.0), None
                 if done < 1:
                     self._records.tell(f"solved up to {100 * done:.3g} %")
         self._path.commit()

@@ -127,11 +127,12 @@ class TiedProblem(TiedSystem):
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs
         if any(isinstance(tie, Tie) and tie.law and not tie.law.linear for tie in ties):
             raise ValueError("a tie with a law of its jump is for a NonlinearTiedProblem.")
-        if any(form is None for form in a):
-            raise ValueError(
-                f"a[{[form is None for form in a].index(True)}] is None: give each body a bilinear "
-                "form. Rigid bodies are for a ContactProblem."
-            )
+        for i, bilinear in enumerate(a):
+            if bilinear is None:
+                raise ValueError(
+                    f"a[{i}] is None: give each body a bilinear form. Rigid bodies are for a "
+                    "ContactProblem."
+                )
         for form in (*a, *L):
             if form is not None and not isinstance(form, ufl.Form):
                 raise ValueError(

@@ -72,8 +72,7 @@ def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
     n = mesh.geometry.dim
     cmap = compat.coordinate_element(mesh)
     cell_type = getattr(basix.CellType, mesh.topology.cell_name())
-    variant = basix.LagrangeVariant(int(cmap.variant))
-    element = basix.create_element(basix.ElementFamily.P, cell_type, cmap.degree, variant)
+    element = compat.geometry_element(mesh, cell_type)
     cells = compat.geometry_dofmap(mesh)
     simplex = cell_type in (basix.CellType.triangle, basix.CellType.tetrahedron)
     if simplex:

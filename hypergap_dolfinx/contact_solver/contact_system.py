@@ -40,7 +40,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     TRIALS,
 )
 from hypergap_dolfinx.core.collective import spot
-from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.errors import InterfaceError, SolveError
 from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
@@ -398,18 +398,22 @@ class ContactSystem(NonlinearSystem):
         Args:
             ahead: Changes of this rank's unknowns.
         """
-        num, start = max(rows.num_samples(ahead) for rows in self._rows), self._state()
+        num = max(1, *(rows.num_samples(ahead) for rows in self._rows))
         if num > TRIALS:
             return False
-        for k in range(num):
+        start, end = self._go_on(ahead)
+        try:
+            for k in range(num):
+                self._go(start, end, (k + 1) / num)
+                for rows in self._rows:
+                    rows.update_geometry()
+                if any([rows.overlaps for rows in self._rows]):
+                    return False
+        except InterfaceError:  # no gaps there; where the bodies are, there are some
+            return False
+        finally:
             self._restore(start)
-            self._go_on([(k + 1) / num * part for part in ahead])
-            for rows in self._rows:
-                rows.update_geometry()
-            if any([rows.overlaps for rows in self._rows]):
-                break
-        self._restore(start)
-        return not any([rows.overlaps for rows in self._rows])
+        return True
 
     def _go_on(self, ahead: Sequence[npt.NDArray]) -> tuple[SystemState, SystemState]:
         """Change the unknowns by these values; the states before and after. Collective."""

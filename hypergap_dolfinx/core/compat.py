@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix
 import dolfinx
 from dolfinx import fem, graph
 from dolfinx.cpp import mesh as cpp_mesh
@@ -24,6 +25,13 @@ VERSION = tuple(int(v) for v in dolfinx.__version__.split(".")[:2])
 def coordinate_element(mesh: Mesh):
     """The coordinate element of a mesh with one cell type."""
     return mesh.geometry.cmaps[0] if VERSION >= (0, 11) else mesh.geometry.cmap
+
+
+def geometry_element(mesh: Mesh, cell_type: basix.CellType) -> basix.finite_element.FiniteElement:
+    """The coordinate element of a mesh with one cell type, on its cells or facets."""
+    cmap = coordinate_element(mesh)
+    variant = basix.LagrangeVariant(int(cmap.variant))
+    return basix.create_element(basix.ElementFamily.P, cell_type, cmap.degree, variant)
 
 
 def geometry_dofmap(mesh: Mesh) -> npt.NDArray[np.int32]:

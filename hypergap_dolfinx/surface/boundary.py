@@ -164,9 +164,7 @@ def _normals(mesh: Mesh, nodes: npt.NDArray) -> npt.NDArray[np.float64]:
     vertices = basix.geometry(facet_type)
     if cmap.degree == 1 or not len(nodes):
         return np.zeros((len(nodes), len(vertices), n))
-    variant = basix.LagrangeVariant(int(cmap.variant))
-    element = basix.create_element(basix.ElementFamily.P, facet_type, cmap.degree, variant)
-    derivatives = element.tabulate(1, vertices)[1:, :, :, 0]
+    derivatives = compat.geometry_element(mesh, facet_type).tabulate(1, vertices)[1:, :, :, 0]
     t = np.einsum("jva,fai->jfvi", derivatives, nodes)
     normals = np.cross(*t) if n == 3 else t[0, :, :, ::-1] * (1, -1)
     return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-300)

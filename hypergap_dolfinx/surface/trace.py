@@ -489,12 +489,10 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     local = np.argmax(cell_facets[cells] == facets[:, None], axis=1)
 
     # Order the vertices of each facet such that its normal points out of the cell
-    cmap = compat.coordinate_element(mesh)
     facet_type = basix.cell.subentity_types(cell_type)[fdim][0]
     P = basix.ElementFamily.P
-    variant = basix.LagrangeVariant(int(cmap.variant))
-    cell_geometry = basix.create_element(P, cell_type, cmap.degree, variant)
-    geometry = basix.create_element(P, facet_type, cmap.degree, variant)
+    cell_geometry = compat.geometry_element(mesh, cell_type)
+    geometry = compat.geometry_element(mesh, facet_type)
     trace = basix.create_element(P, facet_type, element.degree, element.lagrange_variant)
     cell_nodes = compat.geometry_dofmap(mesh)[cells]
     x = mesh.geometry.x[:, :n]

@@ -10,7 +10,8 @@ from assembly import Elastic, lame_constants
 
 import meshes
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import Contact, ContactProblem
+from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
+from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
 from hypergap_dolfinx.contact_solver.predictor import Extrapolation
 
 comm = MPI.COMM_WORLD
@@ -102,6 +103,21 @@ def test_not_through_a_thin_body(num):
     """A start beyond a strip that is as thick as the beam, without an overlap there, isn't one."""
     counts, force = lower(num, 0.05)
     assert counts[-1] >= 2 and force[1] > 1e-6
+
+
+@pytest.mark.ranks(2)
+def test_way_without_gaps(monkeypatch):
+    """Where the way of a start has no gaps to look at, load steps start where the bodies are."""
+
+    def refused(self):
+        raise InterfaceError("no Σ here")
+
+    monkeypatch.setattr(ContactRows, "overlaps", property(refused))
+    counts, force = lower(5)
+    monkeypatch.setattr(Extrapolation, "changes", lambda *args: None)
+    without, same = lower(5)
+    assert counts == without
+    np.testing.assert_allclose(force, same, 1e-9)
 
 
 @pytest.mark.ranks(2)
