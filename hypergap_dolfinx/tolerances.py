@@ -53,16 +53,6 @@ TILT = np.pi / 36
 """Deviation of flat facets' normals from opposite ones.
 Measured: test_touching: 45° takes chamfers (2 of 48 tests), 0.5° changes nothing."""
 
-TURNS_EXPLAINED = 0.75
-"""Further deviation for curved facets, over the sum of both facets' turns.
-Measured: polygons in one circle: 0.5; a chamfer of 45° on a plate: 0.89."""
-
-LEANING_FACETS = 0.4
-"""Distance of two facets, over the root of their common area, from which one leans away.
-Measured: facets in pairs that don't touch though both do elsewhere, 3326 faces of random assemblies
-in space: beyond an edge 0.91, 0.98 (ties' areas 6 and 4 % too large, then 0.6 and 0.2 %), on curved
-faces up to 0.19 (without these areas are up to 54 % too small)."""
-
 SEEN = 0.1
 """Width of facets' common part, over the smaller one's size, that is no sign of their distance.
 Measured: with 0 collars on rods with imprinted edges take facets beyond these, and H¹ errors are 30

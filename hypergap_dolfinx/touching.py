@@ -24,11 +24,9 @@ from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, FILE_DIGITS
 from hypergap_dolfinx.surface.trace import lagrange_element
 from hypergap_dolfinx.tolerances import (
     FACING_ANGLE,
-    LEANING_FACETS,
     NEAR_FLAT,
     SEEN,
     TILT,
-    TURNS_EXPLAINED,
 )
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -134,8 +132,6 @@ class _Facing:
     """Mask of pairs where at least one surface is curved."""
     area: npt.NDArray[np.float64]
     """Common area."""
-    extent: npt.NDArray[np.float64]
-    """Length of its size: in 3D its root."""
 
     @property
     def apart(self) -> npt.NDArray[np.float64]:
@@ -163,24 +159,7 @@ class _Facing:
         np.logical_and.at(whole, region, self.curved)
         one, other = (self.vanishes(side) for side in facets)
         touch = self.curved & (self.vanishes(region) | whole[region])
-        touch |= self.bends & one & other
-        return touch & ~self._beyond_edges(facets, touch), one | other
-
-    def _beyond_edges(self, facets, touch) -> npt.NDArray[np.bool_]:
-        """Mask of pairs with a facet that leaves those it touches behind an edge.
-
-        Where an edge of a coarse surface counts as curved, the facets beyond it touch along a strip
-        as narrow as the sag. A tie would take them as a whole, up to the other body's facets that
-        they lean away from.
-        """
-        leaning = np.abs(self.apart) > LEANING_FACETS * self.extent
-        for numbers in facets:
-            leaning &= np.isin(numbers, numbers[touch]) & ~touch
-        beyond = np.zeros(len(touch), dtype=bool)
-        for numbers in facets:
-            away, near = (np.bincount(numbers, self.area * mask) for mask in (leaning, touch))
-            beyond |= (away > near)[numbers]
-        return beyond
+        return touch | (self.bends & one & other), one | other
 
     def regions(self, facets: Sequence[npt.NDArray]) -> npt.NDArray[np.intp]:
         """Number of the connected region of each pair; pairs are adjacent if they share a facet."""
@@ -221,7 +200,7 @@ def find_touching(
             smaller one is a corner, too, if the surface doesn't continue to turn on both sides; a
             distance that vanishes nowhere in the region is a clearance. Clearances and layers
             thinner than h²/8R, and larger gaps, need a distance. Normals may deviate from opposite
-            ones by 5° plus ¾ of the angles between adjacent facets.
+            ones by 5° plus half of the angles between adjacent facets.
 
     Returns:
         A list with one :class:`Touching` for each two bodies that touch, in the order of
@@ -512,7 +491,8 @@ def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
 
 def _facing(a: Boundary, b: Boundary, reach: Reach) -> _Facing:
     """Pairs of simplices that face each other, up to a distance."""
-    limit = np.minimum(TILT + TURNS_EXPLAINED * (a.turn + b.turn), FACING_ANGLE)
+    # At its ends a facet deviates from the surface by half of its turn there
+    limit = np.minimum(TILT + (a.turn + b.turn) / 2, FACING_ANGLE)
     facing = np.flatnonzero(np.einsum("pi,pi->p", a.normals, b.normals) < -np.cos(limit))
     a, b = a[facing], b[facing]
     n0, n1 = a.normals, b.normals
@@ -542,7 +522,6 @@ def _facing(a: Boundary, b: Boundary, reach: Reach) -> _Facing:
     apart, at, flat0, flat1 = (v[keep] for v in (apart, at, flat0, flat1))
     both = a.curvature + b.curvature
     sags = a.sags(_shares(flat0, at), both) + b.sags(_shares(flat1, at), both)
-    area = common[keep] / (a.x.shape[2] - 1)
     return _Facing(
         pair=facing[keep],
         low=apart.min(axis=1),
@@ -550,8 +529,7 @@ def _facing(a: Boundary, b: Boundary, reach: Reach) -> _Facing:
         near=near[keep],
         curved=(np.abs(apart) <= sags + near[keep, None]).all(axis=1),
         bends=a.turn + b.turn > FILE_DIGITS,
-        area=area,
-        extent=area ** (1 / (a.x.shape[2] - 1)),
+        area=common[keep] / (a.x.shape[2] - 1),
     )
 
 
