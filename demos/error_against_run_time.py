@@ -674,7 +674,8 @@ def main():
                 flush=True,
             )
     pressed = []
-    big = contact.large(comm, list(map(int, args.large.split(",")))) if args.large else []
+    solvers = [args.solver] if args.solver else ["iterative", "direct"]
+    big = contact.large(comm, list(map(int, args.large.split(","))), solvers) if args.large else []
     if args.scene in ("contact", "all") and not args.large:
         dims = [int(dim) for dim in args.dims.split(",")]
         degrees = [int(d) for d in args.degrees.split(",") if int(d) < 3]

@@ -163,12 +163,13 @@ def measure_peer(peer, moved, degree, division):
     ]
 
 
-def large(comm, sizes):
+def large(comm, sizes, solvers):
     """Hertz's contact in space, degree 1, with factors and by multigrid.
 
     Args:
         comm: Communicator.
         sizes: Of the levels a / h.
+        solvers: Those to take; the one with the smaller memory first.
 
     Returns:
         The rows.
@@ -178,7 +179,7 @@ def large(comm, sizes):
         print("\nlarge contact\n         h/a      dofs  steps  iterations  processor's s  peak MiB")
     for division in sizes:
         bodies = hertz.pair(comm, hertz.a / division, 1, RATIO, 3)
-        for solver in ("iterative", "direct"):  # the one with the smaller memory first
+        for solver in solvers:
             F, u, bcs, (below, above) = hertz.forms(bodies, 1)
             stop = stopwatch()
             problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(above, below)], solver=solver)
