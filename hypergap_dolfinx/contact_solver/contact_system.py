@@ -31,6 +31,7 @@ from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, M
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
+    AT_REST,
     LARGE_CONTACT,
     PATIENCE,
     REUSED,
@@ -546,7 +547,8 @@ class ContactSystem(NonlinearSystem):
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         largest = self._comm.allreduce(max(float(np.abs(m).max(initial=0)) for m in modes), MPI.MAX)
         size = min(float(rows.sides[1].reference.size.max()) for rows in self._rows)
-        return largest * float(np.abs(self._load(modes)).max()) / (self._stiffness() * size)
+        found = largest * float(np.abs(self._load(modes)).max()) / (self._stiffness() * size)
+        return found if found > NOTHING else AT_REST
 
     # What a load step that fails says
 
