@@ -32,6 +32,7 @@ from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.records import times
+from hypergap_dolfinx.solvers.tolerances import TURNED
 from hypergap_dolfinx.surface.component import Component, lagrange_components
 from hypergap_dolfinx.surface.tolerances import OWN_GAP
 from hypergap_dolfinx.surface.trace import gap_of_chords, is_mixed
@@ -245,6 +246,7 @@ class ContactProblem(ContactSystem):
         self._halvings = 0
         self._told_far = set[tuple[int, int]]()
         self._told_over, self._told_fixed = set[int](), set[int]()
+        self._told_small = set[int]()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
         revolution.tell(of_bodies, contacts, "contact")
@@ -337,6 +339,7 @@ class ContactProblem(ContactSystem):
             self._warn_of_distance(self._comm)
             self._warn_of_prescribed(self._comm)
             self._warn_of_cells(self._comm)
+            self._warn_of_turns()
             self._interrupts.check()
         return self._every
 
@@ -658,6 +661,21 @@ class ContactProblem(ContactSystem):
                     "residual sees it: results there are wrong; refine, or round sharp corners."
                 )
 
+    def _warn_of_turns(self):
+        """The same of contacts with small sliding. Collective."""
+        super()._warn_of_turns()
+        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
+            if c in self._told_small or contact.geometry.follows:
+                continue
+            if (turn := rows.sides[1].turns(rows.u[1])) > TURNED:
+                self._told_small.add(c)
+                if self._comm.rank == 0:
+                    LOG.warning(
+                        f"contact {c}: its surfaces have turned by {np.degrees(turn):.2g}°, but "
+                        'with sliding="small" normals are those of the meshes: forces are wrong '
+                        'by about that angle; take sliding="finite".'
+                    )
+
     def _warn_of_reach(self, comm):
         """Warn of surfaces with nothing opposite."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
@@ -742,6 +760,6 @@ def _check_apart(contacts: Sequence[Contact], ties: Sequence[Tie]):
 
 
 def _share(one: Contact | Tie, i: int, other: Contact | Tie, j: int) -> bool:
-    """True if two sides have common facets on this rank."""
-    same = one.spaces[i].mesh is other.spaces[j].mesh
+    """True if two sides of one field have common facets on this rank."""
+    same = one.components[i].overlaps(other.components[j])
     return same and bool(np.isin(one.facets[i], other.facets[j]).any())

@@ -218,6 +218,7 @@ class NonlinearTiedProblem(NonlinearSystem):
                 self._hooks("taken_back")  # on all ranks
             raise
         self._solved = True
+        self._warn_of_turns()
 
     def _evaluated(self, x: PETSc.Vec, r: PETSc.Vec):
         """Evaluate the residual; exceptions are kept until PETSc's call, which locks x, ends."""

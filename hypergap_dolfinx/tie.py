@@ -3,7 +3,7 @@
 """The tie between two surfaces."""
 
 import logging
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from copy import copy
 from functools import cached_property, partial
 from typing import Any
@@ -34,6 +34,7 @@ from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface import carried
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import (
     Surface,
     as_facets,
@@ -123,13 +124,14 @@ class Tie(Settable, collective.Owner):
             jump: Prescribed jump g in u₁ − u₀ = g (a jump of positions with ``close_gap``): a
                 number, an array, a ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable
                 of x as for ``Function.interpolate``. A jump along Σ's normal, from Γ0 to Γ1, opens
-                the interface. It is evaluated for each right-hand side: a change needs no new
-                factorisation. Where two ties with different jumps meet, both surfaces should end
+                the interface. It doesn't turn with the bodies. It is evaluated for each right-hand
+                side: a change needs no new factorisation. Where two ties with different jumps meet, both surfaces should end
                 at the same place; there the mean of the jumps holds, weighted by the multipliers.
             motion: Motion that carries Γ0 to Γ1 in a periodic tie, from :meth:`periodic`.
             compliance: Compliance c ≥ 0 in u₁ − u₀ = c λ (+ g), where λ is :meth:`traction`: the
                 thickness of an adhesive layer over its modulus, or a thermal contact resistance.
-                One value, or a pair (along Σ's normal, tangential to it). Each is a number, a
+                One value, or a pair (along Σ's normal, tangential to it, as in the meshes: they
+                don't turn with the bodies). Each is a number, a
                 ``fem.Constant``, a scalar ``fem.Function`` on the mesh of Γ1's body, or a callable
                 of x. 0 is a rigid tie. Any c > 0 supports a body without other supports. A
                 tangential compliance far above that of a cell permits sliding; on curved surfaces
@@ -142,7 +144,7 @@ class Tie(Settable, collective.Owner):
                 cells, so that a single node with h > 0 conducts.
             law: Interface law λ = f(u₁ − u₀), instead of a compliance: an adhesive that softens
                 and fails, or a spring that only pushes. A function of two UFL expressions, the jump
-                (minus g) and the unit normal from Γ0 to Γ1, that returns λ in UFL:
+                (minus g) and the meshes' unit normal from Γ0 to Γ1, that returns λ in UFL:
                 ``law=lambda jump, n: k * jump``. UFL differentiates it, also through
                 ``conditional`` and ``max_value``, so that Newton's method has the exact tangent.
                 With a potential ψ return ``ufl.diff(psi, w)``, ``w = ufl.variable(jump)``. It may
@@ -536,6 +538,18 @@ class Tie(Settable, collective.Owner):
             return self._weighting(soft.Conductance)
         law = law if isinstance(law, laws.Law) else laws.Law(law)
         return laws.Response(law, self._domain, self.constraint, self._spaces[1])
+
+    def turns(self, u: Sequence[fem.Function]) -> float:
+        """Root mean square by which displacements turn Γ1's facets, in radians. Collective.
+
+        0 if nothing of the tie has directions: they are those of the meshes as they were made.
+        """
+        law = self.compliance or self.law
+        own = [f for f in map(self.components[1].own_function, u) if f is not None]
+        if law is None or not law.has_directions or not own:
+            return 0.0
+        side = MovingSurface(self._surfaces[1])
+        return side.turns(side.values(own[0]))
 
     def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:
         """The compliance or the conductance, if given."""

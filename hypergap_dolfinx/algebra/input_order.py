@@ -37,7 +37,7 @@ class InputOrder:
         num = mesh.topology.index_map(mesh.topology.dim).size_local
         cells, index_map = dofmap.map()[:num], dofmap.index_map
         dofs = index_map.local_to_global(np.ascontiguousarray(cells).ravel()).reshape(cells.shape)
-        original = mesh.topology.original_cell_index[:num]
+        original = _places(mesh.topology)
         parts = self.comm.gather((original, dofs, index_map.size_local))
         self.size_local = index_map.size_local * self.block_size
         self._sizes, self._order = list[int](), np.empty(0, dtype=np.int64)
@@ -78,7 +78,7 @@ class InputOrder:
     def fingerprint(self) -> npt.NDArray[np.float64]:
         """Fingerprint that distinguishes meshes and their orders. Collective."""
         nodes, topology = compat.geometry_dofmap(self._mesh), self._mesh.topology
-        original = topology.original_cell_index[: topology.index_map(topology.dim).size_local]
+        original = _places(topology)
         x = self._mesh.geometry.x[nodes[: len(original)]]  # (cell, node, 3)
         phase = original[:, None] + np.arange(nodes.shape[1])
         sums = [np.einsum("cn,cni->i", f(phase), x) for f in (np.cos, np.sin)]
@@ -177,3 +177,18 @@ def _product(
     for vector in (left, right):
         vector.destroy()
     return found
+
+
+def _places(topology) -> npt.NDArray[np.int64]:
+    """Places of this rank's cells in the input of a mesh.
+
+    Raises:
+        ValueError: The mesh has none.
+    """
+    try:
+        return topology.original_cell_index[: topology.index_map(topology.dim).size_local]
+    except RuntimeError:
+        raise ValueError(
+            "states need meshes that were read or created, whose cells have an order; one made by "
+            "create_submesh has none: write it to a file and read it, or save u.x.array."
+        ) from None

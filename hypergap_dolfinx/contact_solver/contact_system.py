@@ -542,7 +542,10 @@ class ContactSystem(NonlinearSystem):
                 )
 
     def _nearness(self) -> float:
-        """Share of the bodies' diagonal with which free motions go a facet's size. Collective."""
+        """Share of the bodies' diagonal with which free motions go a facet's size. Collective.
+
+        Without a load on these motions there is no such share, and any one holds the bodies.
+        """
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         largest = self._comm.allreduce(max(float(np.abs(m).max(initial=0)) for m in modes), MPI.MAX)

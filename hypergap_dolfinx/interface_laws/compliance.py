@@ -102,6 +102,11 @@ class Weighting:
         self.values()
 
     @property
+    def has_directions(self) -> bool:
+        """True if c is one along the normal and another one across it."""
+        return len(self._parts) == 2
+
+    @property
     def key(self) -> Hashable:
         """Key that is equal for values that are and remain the same."""
         return self.name, *(

@@ -135,6 +135,7 @@ class Response:
         normal.x.array[: num * n] = self._samples.normal.ravel()
         w = ufl.variable(self._jump)
         traction = law.traction(w, normal)
+        self.has_directions = normal in extract_type(traction, FormArgument)
         # The last entry is for laws without anything of the mesh
         both = [*_entries(traction), *_entries(ufl.diff(traction, w)), _entries(self._jump)[0]]
         both = ufl.as_vector(both)

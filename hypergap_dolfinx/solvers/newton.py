@@ -26,6 +26,7 @@ from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part, State
 from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.records import Recorder, StepRecord
 from hypergap_dolfinx.solvers.system import TiedSystem
+from hypergap_dolfinx.solvers.tolerances import TURNED
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -153,6 +154,7 @@ class NonlinearSystem(TiedSystem):
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
         self._checkpoint: Checkpoint | None = None
+        self._told_turned = set[int]()
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
         self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
@@ -297,6 +299,20 @@ class NonlinearSystem(TiedSystem):
     def _jacobian(self, x: PETSc.Vec):
         self._assign(x)
         self.assemble_matrix()
+
+    def _warn_of_turns(self):
+        """Warn, once for each tie, of laws' directions that don't turn with it. Collective."""
+        for t, tie in enumerate(self.ties):
+            if t in self._told_turned or (turn := tie.turns(self._u)) <= TURNED:
+                continue
+            self._told_turned.add(t)
+            if self._u[0].function_space.mesh.comm.rank == 0:
+                LOG.warning(
+                    f"tie {t}: its surfaces have turned by {np.degrees(turn):.2g}°, but normal and "
+                    "tangential directions of its law are those of the meshes: tractions are "
+                    "wrong by about that angle; take one compliance or conductance for all "
+                    "directions, or a law without the normal."
+                )
 
     def state(self) -> State:
         """State between two load steps, for :meth:`restore` and for files. Collective.

@@ -168,6 +168,36 @@ def test_rotation_with_an_obstacle(swap):
     close(contact.rows.state.p, p, 1e-9)
 
 
+def test_rotation_with_small_sliding(caplog):
+    """Normals don't turn with the bodies: that is told."""
+    _, _, go = rotating(2, friction=0.1, sliding="small")
+    go(0, 0, -0.1)
+    go(0.1, 0, -0.1)
+    told = ["its surfaces have turned by" in line for line in caplog.messages]
+    assert told[-1] and sum(told) == 1
+
+
+def test_squeezed_by_plates():
+    """A ring that friction alone holds, without a load on it where a load step starts."""
+    ring, tags = meshes.ring_sector(comm, 32, 2, 0.8, 1.0, angle=2 * np.pi)
+    body = Elastic.on(fem.functionspace(ring, ("Lagrange", 1, (2,))), large=True)
+    plates = [rectangle((20, 1), (-2, y), (2, y + 0.2)) for y in (1.0, -1.2)]
+    u = [fem.Function(plate.V) for plate in plates]
+    outer = (body.u.function_space, tags.find(meshes.OUTER))
+    contacts = [
+        Contact((plate.V, plate.facets(tag)), outer, friction=0.2)
+        for plate, tag in zip(plates, (meshes.BOTTOM, meshes.TOP), strict=True)
+    ]
+    problem = ContactProblem([None, None, body.F], [*u, body.u], contacts=contacts)
+    for k in range(1, 5):
+        for one, sign in zip(u, (-1, 1), strict=True):
+            one.interpolate(lambda x, way=sign * 0.1 * k: (0 * x[0], way + 0 * x[0]))
+        problem.solve()
+        assert problem.iterations <= 6 and problem.halvings == 0  # 25 and 5, in 20 times the seconds
+    below, above = (one.force(problem, on=body.u) for one in contacts)
+    assert np.abs(below + above).max() <= 1e-9 * np.abs(below).max()
+
+
 def test_back_and_forth():
     """What is drawn along slips, then sticks when it turns back, then slips the other way."""
     contact, problem, go = rotating(2, friction=0.2)

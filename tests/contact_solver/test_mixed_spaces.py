@@ -206,12 +206,10 @@ def test_unloaded():
     assert np.abs(contact.force(problem)).max() <= EXACT
 
 
-@two_ranks(expands=[1e-6])
-@pytest.mark.parametrize("expands", (0.0, 1e-6))
-def test_temperatures(expands):
-    """A field whose equation has no displacements in it: one-way coupled temperatures."""
-    source, u, F, bcs, sides = 1e6, [], [], [], []
-    for i in range(2):
+def heated(expands, sources):
+    """Forms, functions, conditions, and sides of displacements and temperatures of two blocks."""
+    u, F, bcs, sides, heat = [], [], [], [], []
+    for i, source in enumerate(sources):
         mesh, ft = meshes.block(comm, (5 - i, 3), lambda x, i=i: np.add(x, (0, i - 1)))
         cell = mesh.basix_cell()
         parts = [basix.ufl.element("Lagrange", cell, 1, shape=shape) for shape in (None, (2,))]
@@ -225,14 +223,36 @@ def test_temperatures(expands):
         bcs.append(held(V, 0, lambda x: np.isclose(x[1], 2 * i - 1)))
         bcs += [held(V, 1, far, -0.01 * i), held(W, 0, far)]
         u.append(w)
-        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
-    contact = Contact(*sides)
-    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+        near = ft.find((meshes.TOP, meshes.BOTTOM)[i])
+        sides.append((V, near))
+        heat.append((W.sub(0), near))
+    return F, u, bcs, sides, heat
+
+
+@two_ranks(expands=[1e-6])
+@pytest.mark.parametrize("expands", (0.0, 1e-6))
+def test_temperatures(expands):
+    """A field whose equation has no displacements in it: one-way coupled temperatures."""
+    source = 1e6
+    F, u, bcs, sides, _ = heated(expands, (source, source))
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(*sides)])
     problem.solve()
     assert problem.iterations <= 4
     for w in u:
         T = w.sub(0).collapse().x.array
         assert comm.allreduce(T.max(), MPI.MAX) == pytest.approx(source / 2, rel=1e-12)
+
+
+@two_ranks()
+def test_contact_that_conducts():
+    """Displacements in contact, temperatures tied by a conductance: on the same facets."""
+    source, h = 2.0, 0.5
+    F, u, bcs, sides, heat = heated(1e-3, (source, -source))
+    tie = Tie(*heat, conductance=h)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[Contact(*sides)], ties=[tie])
+    problem.solve()
+    flow = 2 * h * source / 2 / (1 + 2 * h)  # jump of ±T at the interface, from −T″ = source
+    np.testing.assert_allclose(tie.force(problem, on=u[1]), flow, rtol=1e-10)
 
 
 # Rubber: a rigid sphere is pressed into a disc, by 30 % of its height

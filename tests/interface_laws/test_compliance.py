@@ -340,6 +340,19 @@ def test_nonlinear():
         np.testing.assert_allclose(u.x.array.copy(), other.x.array, rtol=0, atol=1e-10)
 
 
+@two_ranks()
+@pytest.mark.parametrize("given", (0.7, (0.7, 0.2)), ids=("one", "two"))
+def test_turned(caplog, given):
+    """Normals don't turn with bodies: that is told if the law has two directions."""
+    bodies = blocks()
+    t = tie(bodies, *TIED, compliance=given)
+    p = held_outside(bodies, [t], TIED, lambda i, x: (-0.1 * x[1], 0.1 * x[0]))
+    p.solve()
+    p.solve()
+    told = [line for line in caplog.messages if "have turned by 5" in line]
+    assert len(told) == (given != 0.7 and comm.rank == 0)
+
+
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))
 def test_solvers(solver):
     bodies = blocks()
