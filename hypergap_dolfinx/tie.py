@@ -125,8 +125,9 @@ class Tie(Settable, collective.Owner):
                 number, an array, a ``fem.Constant``, a ``fem.Function`` on V₁ or V₀, or a callable
                 of x as for ``Function.interpolate``. A jump along Σ's normal, from Γ0 to Γ1, opens
                 the interface. It doesn't turn with the bodies. It is evaluated for each right-hand
-                side: a change needs no new factorisation. Where two ties with different jumps meet, both surfaces should end
-                at the same place; there the mean of the jumps holds, weighted by the multipliers.
+                side: a change needs no new factorisation. Where two ties with different jumps meet,
+                both surfaces should end at the same place; there the mean of the jumps holds,
+                weighted by the multipliers.
             motion: Motion that carries Γ0 to Γ1 in a periodic tie, from :meth:`periodic`.
             compliance: Compliance c ≥ 0 in u₁ − u₀ = c λ (+ g), where λ is :meth:`traction`: the
                 thickness of an adhesive layer over its modulus, or a thermal contact resistance.

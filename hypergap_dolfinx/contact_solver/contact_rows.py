@@ -139,6 +139,7 @@ class ContactRows:
         areas = (areas[:, None] * arcs).ravel()
         self._area = np.bincount(surface.facets.ravel(), areas, num)
         self._rank = np.searchsorted(surface.dof_range[1:], self.sides[1].vertex_dofs, side="right")
+        self._first = self.displacements([f.x.array for f in self.fields])
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
 
@@ -241,8 +242,9 @@ class ContactRows:
             InterfaceError: There is no Σ, though the sides face each other.
         """
         self.u = self.displacements([f.x.array for f in self.fields])
-        if self.start is None:
-            self.start = self.u
+        if self.start is None:  # what users move has been moved already
+            pairs = zip(self.bodies, self._first, self.u, strict=True)
+            self.start = tuple(a if body is None else b for body, a, b in pairs)
         g, m, C = self._find()
         has = self.condensed_to >= 0
         self.g, self.m = (

@@ -132,8 +132,8 @@ Measured: Hertz in space in one step, processor seconds: 17 000 displacements 2.
 steps: 6.4 (10.5)."""
 
 AT_REST = 1e-4
-"""Share of the bodies' diagonal that is added where a linearised problem has no solution and no load
-acts on free motions, as at the start of load steps of a body that friction alone holds.
+"""Share of the bodies' diagonal that is added where a linearised problem has no solution and no
+load acts on free motions, as at the start of load steps of a body that friction alone holds.
 Measured: a ring between two plates that hold it by friction alone, squeezed by .83 radii in 20 load
 steps: 83 Newton steps, 11 processor seconds; 1e-6 82, 24; 1e-2 139 and 7 halvings, 14; without 107
 and 7, 89."""

@@ -12,7 +12,7 @@ import pytest
 import test_contact_form as plane
 import test_contact_solids as space
 from assembly import Elastic, rectangle
-from helpers import close, raises, sweep
+from helpers import close, raises, sweep, two_ranks
 
 import meshes
 from dolfinx import fem
@@ -168,6 +168,29 @@ def test_rotation_with_an_obstacle(swap):
     close(contact.rows.state.p, p, 1e-9)
 
 
+@two_ranks()
+def test_obstacle_in_the_first_load_step():
+    """What users move slips in the first load step too, as a body of which all is prescribed."""
+    found = []
+    for rigid in (False, True):
+        parts = rectangle((8, 3), (-1, -1), (1, 0)), rectangle((3, 2), (-0.5, 0.02), (0.5, 0.5))
+        bodies = [Elastic.on(part.V, large=True) for part in parts]
+        sides = [(part.V, part.facets(t)) for part, t in zip(parts, (meshes.TOP, meshes.BOTTOM))]
+        moved = bodies[1].u if rigid else fem.Function(parts[1].V)
+        every = fem.locate_dofs_geometrical(parts[1].V, lambda x: x[1] > 0)
+        below = fem.locate_dofs_geometrical(parts[0].V, lambda x: x[1] < -0.9)
+        bcs = [fem.dirichletbc(fem.Function(parts[0].V), below)]
+        bcs += [] if rigid else [fem.dirichletbc(moved, every)]
+        contact = Contact(*sides, friction=0.3)
+        F, u = [bodies[0].F, None if rigid else bodies[1].F], [body.u for body in bodies]
+        problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-10)
+        moved.interpolate(lambda x: np.outer((0.1, -0.1), np.ones(x.shape[1])))
+        problem.solve()
+        found.append([*contact.force(problem, on=u[0]), contact.dissipation(problem)])
+    assert found[0][0] > 0.1 * -found[0][1]  # the force was -3e-3 for 4e-2
+    np.testing.assert_allclose(*found, rtol=1e-6)
+
+
 def test_rotation_with_small_sliding(caplog):
     """Normals don't turn with the bodies: that is told."""
     _, _, go = rotating(2, friction=0.1, sliding="small")
@@ -193,7 +216,9 @@ def test_squeezed_by_plates():
         for one, sign in zip(u, (-1, 1), strict=True):
             one.interpolate(lambda x, way=sign * 0.1 * k: (0 * x[0], way + 0 * x[0]))
         problem.solve()
-        assert problem.iterations <= 6 and problem.halvings == 0  # 25 and 5, in 20 times the seconds
+        assert (
+            problem.iterations <= 6 and problem.halvings == 0
+        )  # 25 and 5, in 20 times the seconds
     below, above = (one.force(problem, on=body.u) for one in contacts)
     assert np.abs(below + above).max() <= 1e-9 * np.abs(below).max()
 
