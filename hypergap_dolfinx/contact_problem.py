@@ -34,6 +34,7 @@ from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.records import times
 from hypergap_dolfinx.solvers.tolerances import TURNED
 from hypergap_dolfinx.surface.component import Component, lagrange_components
+from hypergap_dolfinx.surface.moving import Displacements
 from hypergap_dolfinx.surface.tolerances import OWN_GAP
 from hypergap_dolfinx.surface.trace import gap_of_chords, is_mixed
 from hypergap_dolfinx.tie import Tie
@@ -362,14 +363,16 @@ class ContactProblem(ContactSystem):
         done, size, ahead = 0.0, 1.0, None
         while done < 1:
             before, values = self._state(), [u.x.array.copy() for u in self._set]
-            internal = self._hooks.copies()
+            internal, since = self._hooks.copies(), [rows.before() for rows in self._rows]
             s = min(done + size, 1.0)
             self._path.interpolate(s)
             load = self._path.increments(done, s)
             try:
                 if not self._last.in_contact:
-                    ahead = self._ahead(load, before)
+                    ahead = self._ahead(load, before, since)
                 self._newton(ahead, damps=self._halvings > 0)
+                if passed := self._passed(since):
+                    raise SolveError(passed)
                 self._accept(s)
             except (SolveError, InterfaceError, InvertedCellError) as error:
                 lost = self._lost(before, error)
@@ -388,7 +391,7 @@ class ContactProblem(ContactSystem):
                         "changed since the last one, or since the problem was made (load it then)."
                     ) from error
                 first = ahead is None and self._last.in_contact
-                ahead = self._ahead(load, before) if first else None
+                ahead = self._ahead(load, before, since) if first else None
                 if ahead is not None:
                     self._records.tell(f"tried again from another start: {error}")
                     continue
@@ -421,15 +424,21 @@ class ContactProblem(ContactSystem):
         super()._forget()
         self._last.forget()
 
-    def _ahead(self, load: Sequence[npt.NDArray], before: SystemState) -> list[npt.NDArray] | None:
+    def _ahead(
+        self,
+        load: Sequence[npt.NDArray],
+        before: SystemState,
+        since: Sequence[Displacements],
+    ) -> list[npt.NDArray] | None:
         """Changes of the unknowns as in the last load step; None if they close a gap. Collective.
 
         Args:
             load: Increments of the values that this rank owns.
             before: The present state.
+            since: Displacements of each contact's sides there.
         """
         changes = None if self._num_free else self._last.changes(load, before.values)
-        return changes if changes is None or self._is_clear(changes) else None
+        return changes if changes is None or self._is_clear(changes, since) else None
 
     def _accept(self, s: float):
         """Call ``accepted``; raise if it changed a value that the load step sets back. Collective.

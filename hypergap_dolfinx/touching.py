@@ -20,6 +20,7 @@ from hypergap_dolfinx.core.intersection import axes_across, common_part
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.boundary import Boundary, gathered
 from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.search import meeting
 from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, FILE_DIGITS
 from hypergap_dolfinx.surface.trace import lagrange_element
 from hypergap_dolfinx.tolerances import (
@@ -345,7 +346,7 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
     boxes = [body.boxes(body.most if distance is None else distance) for _, body in bodies]
     hulls = np.array([(b[:, 0].min(axis=0), b[:, 1].max(axis=0)) for b in boxes])
     found = []
-    for i, j in _meeting(hulls, hulls):
+    for i, j in meeting(hulls, hulls):
         if i >= j:
             continue
         parts = [bodies[i], bodies[j]]
@@ -392,7 +393,7 @@ def _overlap(parts: list[tuple[int, Boundary]]):
 
 def _near(parts, boxes, reach: Reach):
     """Simplices of two bodies that face each other, ``(2, num_pairs)``, and their distances."""
-    simplices = _meeting(*boxes).T
+    simplices = meeting(*boxes).T
     a, b = (body[s] for (_, body), s in zip(parts, simplices, strict=True))
     facing = _facing(a, b, reach)
     return simplices[:, facing.pair], facing
@@ -455,38 +456,6 @@ def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
     ends = [3 * (e // 3) + (e + 1) % 3 for e in (a, b)]
     corner = graph.components(3 * len(simplices), np.append(a, ends[0]), np.append(ends[1], b))
     return corner, nodes.ravel()
-
-
-def _meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
-    """Sorted pairs of intersecting boxes ``(num, 2, n)``, by bisection of the larger set."""
-    boxes, found = (boxes0, boxes1), [np.empty((0, 2), dtype=np.intp)]
-    todo = [(np.arange(len(boxes0)), np.arange(len(boxes1)))]
-    while todo:
-        sets = list(todo.pop())
-        for k in (0, 1):
-            if len(sets[1 - k]):
-                others = boxes[1 - k][sets[1 - k]]
-                hull = np.stack((others[:, 0].min(axis=0), others[:, 1].max(axis=0)))
-                sets[k] = sets[k][_meet(boxes[k][sets[k]], hull)]
-        i, j = sets
-        if not len(i) or not len(j):
-            continue
-        if len(i) * len(j) <= 4096:  # compared pair by pair
-            at0, at1 = np.nonzero(_meet(boxes0[i][:, None], boxes1[j][None]))
-            found.append(np.column_stack((i[at0], j[at1])))
-            continue
-        k = int(len(j) > len(i))
-        centres = boxes[k][sets[k]].sum(axis=1)
-        order = np.argsort(centres[:, np.ptp(centres, axis=0).argmax()], kind="stable")
-        for half in np.array_split(sets[k][order], 2):
-            todo.append((half, j) if k == 0 else (i, half))
-    pairs = np.concatenate(found)
-    return pairs[np.lexsort(pairs.T[::-1])]
-
-
-def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
-    """Mask of intersecting boxes ``(..., 2, n)``."""
-    return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
 
 def _facing(a: Boundary, b: Boundary, reach: Reach) -> _Facing:

@@ -33,7 +33,13 @@ from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion, RigidSid
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
 from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.component import Component
-from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, Sparse, joined
+from hypergap_dolfinx.surface.moving import (
+    Displacements,
+    MovingSurface,
+    Sparse,
+    joined,
+    went_through,
+)
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
 
@@ -330,14 +336,31 @@ class ContactRows:
         """True if a gap outside of the active set is negative."""
         return bool((self.g < 0)[self.valid & ~self.state.active].any())
 
-    def num_samples(self, moves: Sequence[npt.NDArray]) -> int:
-        """Number of parts of a step that don't lead through half of the thinner body. Collective.
+    def before(self) -> Displacements:
+        """Both sides' displacements as a load step starts, before users moved. Collective."""
+        now = self.displacements([f.x.array for f in self.fields])
+        last = self._first if self.start is None else self.start
+        pairs = zip(self.bodies, last, now, strict=True)
+        before, after = (a if body is None else b for body, a, b in pairs)
+        return before, after
+
+    def passed(self, since: Displacements) -> npt.NDArray[np.float64]:
+        """Places of vertices that went through a wall of the other side, ``(num, n)``.
 
         Args:
-            moves: What is added to this rank's displacements of each body.
+            since: Displacements from which they went straight to where they are.
         """
-        far = sum(float(lengths(part).max(initial=0)) for part in self.from_bodies(moves))
-        return int(np.ceil(far / self._contact.geometry.depth))
+        if not self._follows:
+            return np.empty((0, self._n))
+        ways = [
+            (side.displaced(a), side.displaced(b))
+            for side, a, b in zip(self.sides, since, self.u, strict=True)
+        ]
+        found = [
+            mine[1].x[went_through(mine, others, self.closed, itself=self.meets_itself)]
+            for mine, others in ((ways[:1] * 2,) if self.meets_itself else (ways, ways[::-1]))
+        ]
+        return np.concatenate(found)
 
     @property
     def _slopes(self) -> Sparse:

@@ -50,6 +50,7 @@ from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.solvers.predicted_stress import PredictedStress, is_slender
 from hypergap_dolfinx.solvers.solver import names_types
 from hypergap_dolfinx.surface.component import Component
+from hypergap_dolfinx.surface.moving import Displacements
 from hypergap_dolfinx.surface.trace import is_mixed
 
 LOG = logging.getLogger("hypergap_dolfinx")
@@ -393,28 +394,37 @@ class ContactSystem(NonlinearSystem):
             if share != 1:
                 self._go(*way, share)
 
-    def _is_clear(self, ahead: Sequence[npt.NDArray]) -> bool:
-        """True if no gap closes on the way, in parts that are too short to miss it. Collective.
+    def _is_clear(self, ahead: Sequence[npt.NDArray], since: Sequence[Displacements]) -> bool:
+        """True if nothing overlaps or has passed after these changes. Collective.
 
         Args:
             ahead: Changes of this rank's unknowns.
+            since: Displacements of each contact's sides at the start of the load step.
         """
-        num = max(1, *(rows.num_samples(ahead) for rows in self._rows))
-        if num > TRIALS:
-            return False
-        start, end = self._go_on(ahead)
+        start, _ = self._go_on(ahead)
         try:
-            for k in range(num):
-                self._go(start, end, (k + 1) / num)
-                for rows in self._rows:
-                    rows.update_geometry()
-                if any([rows.overlaps for rows in self._rows]):
-                    return False
+            for rows in self._rows:
+                rows.update_geometry()
+            return not any([rows.overlaps for rows in self._rows]) and not self._passed(since)
         except InterfaceError:  # no gaps there; where the bodies are, there are some
             return False
         finally:
             self._restore(start)
-        return True
+
+    def _passed(self, since: Sequence[Displacements]) -> str:
+        """Message about what went through a wall since the start of the load step, or nothing.
+
+        Args:
+            since: Displacements of each contact's sides there.
+        """
+        for c, (rows, u) in enumerate(zip(self._rows, since, strict=True)):
+            at = rows.passed(u)
+            if len(at):
+                return (
+                    f"one side of contact {c} went through the other one, around {spot(at)}, "
+                    "where they have moved by more than half of a wall: take smaller load steps."
+                )
+        return ""
 
     def _go_on(self, ahead: Sequence[npt.NDArray]) -> tuple[SystemState, SystemState]:
         """Change the unknowns by these values; the states before and after. Collective."""

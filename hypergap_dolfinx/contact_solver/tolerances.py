@@ -89,8 +89,7 @@ bodies: growth by 2, 4, 16 takes 360, 360, 356 Newton steps."""
 TRIALS = 6
 """Times that a step is shortened, or halved in the small problem, or an added share increased;
 half the number of compliances along a path; rounds of block pivoting without fewer wrong signs
-before Lemke's method, and its pivots over the square of the rows; places on the way of a start at
-which gaps are looked at: six cost about one Newton step.
+before Lemke's method, and its pivots over the square of the rows.
 Measured: shortened up to 3 and 12 times, halved up to 4 and 30 times: nothing changes in the same
 tests and scenes; without a share that grows one of the scenes fails."""
 

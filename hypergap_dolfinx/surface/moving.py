@@ -16,7 +16,8 @@ import basix
 from dolfinx import fem
 from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.surface.trace import Surface
+from hypergap_dolfinx.surface.search import meeting
+from hypergap_dolfinx.surface.trace import Surface, lengths, normals_by_area
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,108 @@ Displacements = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 def displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
     """The displaced Γ0 and Γ1."""
     return sides[0].displaced(u[0]), sides[1].displaced(u[1])
+
+
+def went_through(
+    mine: tuple[Surface, Surface], others: tuple[Surface, Surface], least: float, *, itself: bool
+) -> npt.NDArray[np.intp]:
+    """Vertices of a surface that went through a wall of another one on straight ways.
+
+    Such a vertex crosses the middle of the wall from the front, ends behind it, and comes nearer by
+    half of the wall at least. The wall is what lies between a facet and the far side of its own
+    surface or, if that is less, between the vertex and the far side of its own. Surfaces without a
+    far side have no walls.
+
+    Args:
+        mine: The surface before and after.
+        others: The other one, likewise.
+        least: Depth treated as zero.
+        itself: True if both are one surface, where no vertex meets its own facets.
+    """
+    own, corners = map(_simplices, (mine[0], others[0]))
+    x = np.stack([(s.x[own] + s.x[own].mean(axis=1, keepdims=True)) / 2 for s in mine])
+    x = x.reshape(2, -1, x.shape[3])
+    c = np.stack([s.x[corners] for s in others])
+    shift = (c[1] - c[0]).mean(axis=(0, 1))
+    x[1], c[1] = x[1] - shift, c[1] - shift
+    v, f = meeting(_boxes(x), _boxes(np.concatenate(c.swapaxes(1, 2)))).T
+    n = np.stack([_units(part) for part in c])
+    h0, h1 = np.einsum("tpi,tpi->tp", x[:, v] - c[:, f, 0], n[:, f])
+    may = h1 < np.minimum(2 * h0, -least)  # else it doesn't come nearer by what it ends behind
+    if itself:
+        may &= (corners[f][:, :, None] != own[v // own.shape[1]][:, None]).all(axis=(1, 2))
+    v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
+    far = 2 * np.minimum(h0 - h1, -h1)
+    on = own[v // own.shape[1]]
+    deep = np.minimum(
+        _walls(mine[0].x[own], own, x[0][v], -far[:, None] * _units(mine[0].x[on]), on),
+        _walls(c[0], corners, c[0][f].mean(axis=1), -far[:, None] * n[0, f], corners[f]),
+    )
+    deep *= far / 2
+    goes = np.flatnonzero((h0 > -deep) & np.isfinite(deep))
+    v, f, deep = v[goes], f[goes], deep[goes]
+    if not len(v):
+        return v
+    c = c[:, f] - (deep[:, None] * n[:, f])[:, :, None]
+    low, high = np.zeros(len(v)), np.ones(len(v))
+    for _ in range(np.finfo(float).nmant):  # halving: in space it is a cubic
+        t = (low + high)[:, None] / 2
+        at = x[0, v] + t * (x[1, v] - x[0, v])
+        facet = c[0] + t[:, None] * (c[1] - c[0])
+        front = np.einsum("pi,pi->p", at - facet[:, 0], normals_by_area(facet)) > 0
+        low, high = np.where(front, t[:, 0], low), np.where(front, high, t[:, 0])
+    passed, found = np.ones(len(mine[0].x), dtype=bool), np.zeros(x.shape[1], dtype=bool)
+    found[v[_are_inside(at, facet)]] = True
+    np.logical_and.at(passed, own.ravel(), found)
+    return np.flatnonzero(passed)
+
+
+def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
+    """Vertices of a surface's straight edges or triangles, ``(num, n)``."""
+    if surface.facets.shape[1] < 4:
+        return surface.facets
+    return surface.polygons[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+
+
+def _boxes(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Boxes around points of several sets, ``(num_points, num_sets, n)``."""
+    return np.stack((x.min(axis=0), x.max(axis=0)), axis=1)
+
+
+def _units(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Unit normals of simplices, ``(num, n, n)``."""
+    n = normals_by_area(corners)
+    return n / np.maximum(lengths(n), np.finfo(float).tiny)[:, None]
+
+
+def _walls(corners, vertices, x, ways, near) -> npt.NDArray[np.float64]:
+    """Shares of ways, from points, at which they first leave through a simplex; ∞: nowhere.
+
+    Args:
+        corners: Corners of the simplices, ``(num_simplices, n, n)``.
+        vertices: Their vertices, ``(num_simplices, n)``.
+        x: The points, ``(num, n)``.
+        ways: The ways, likewise.
+        near: Vertices for each point whose simplices don't count, ``(num, num_near)``.
+    """
+    p, s = meeting(_boxes(np.stack((x, x + ways))), _boxes(corners.swapaxes(0, 1))).T
+    n = normals_by_area(corners[s])
+    along, high = (np.einsum("pi,pi->p", a, n) for a in (ways[p], corners[s, 0] - x[p]))
+    on = (along > 0) & (high > 0) & (high <= along)
+    on &= (vertices[s][:, :, None] != near[p][:, None]).all(axis=(1, 2))
+    p, s, share = p[on], s[on], high[on] / along[on]
+    hit = _are_inside(x[p] + share[:, None] * ways[p], corners[s])
+    found = np.full(len(x), np.inf)
+    np.minimum.at(found, p[hit], share[hit])
+    return found
+
+
+def _are_inside(x, corners) -> npt.NDArray[np.bool_]:
+    """Mask of points in the planes of simplices that are inside of them, each of its own."""
+    e = corners[:, 1:] - corners[:, :1]
+    share = np.linalg.pinv(e @ e.swapaxes(1, 2)) @ (e @ (x - corners[:, 0])[..., None])
+    off = np.finfo(float).eps ** 0.5
+    return (share[..., 0] >= -off).all(axis=1) & (share.sum(axis=(1, 2)) <= 1 + off)
 
 
 @dataclass(frozen=True)
