@@ -778,6 +778,31 @@ class ContactRows:
         """C applied to what :meth:`moved` gives, over areas, ``(num_multipliers, num)``."""
         return self._over_areas(self.C.products(moves, len(self.m))).T
 
+    @property
+    def acting(self) -> tuple[Sparse, npt.NDArray[np.float64]]:
+        """Forces at both sides' dofs by multipliers, and the multipliers, 0 where inactive."""
+        return self._acting, self._values * self.is_in
+
+    def act_between(self, other: tuple[Sparse, npt.NDArray[np.float64]], share: float):
+        """Take multipliers and directions whose forces lie between these and others.
+
+        Args:
+            other: Those of another state, as :attr:`acting`.
+            share: Share of the others.
+        """
+        f = np.stack((self.acting[1], other[1]))
+        parts = np.array((1 - share, share))[:, None] * f
+        total = parts.sum(axis=0)
+        weights = np.divide(parts, total, out=np.zeros_like(parts), where=total != 0)
+        self._acting = joined(*(a.scaled(w) for a, w in zip((self._acting, other[0]), weights)))
+        self._take(total)
+
+    def _take(self, values: npt.NDArray[np.float64]):
+        """Take multipliers, and what acts along their rows."""
+        num = len(self.g)
+        self.state.p, self.C = values[:num], self._acting.some(self._acting.i < num)
+        self.state.active = self.state.active | (values[:num] != 0)
+
     def contact_forces(self) -> list[npt.NDArray[np.float64]]:
         """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
         f, at = self._values * self.is_in, self._acting

@@ -88,6 +88,10 @@ class ContactSystem(NonlinearSystem):
     - Contact's laws hold: no gap is open where a pressure acts, none is negative, sticking vertices
       don't slip, and tractions are μ p at the others (``ContactRows.is_closed``).
 
+    At a kink of a gap any derivative between those on both sides may act (Clarke's). Newton steps
+    across one become as short as displacements that are treated as zero. Then forces may balance
+    that lie between those of the last two states (:meth:`_balances_between`).
+
     With friction there is one more step if gaps aren't closed to round-off.
     """
 
@@ -154,6 +158,7 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
+        self._before: tuple[list, list, list] | None = None  # values, residual and forces
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
@@ -347,7 +352,7 @@ class ContactSystem(NonlinearSystem):
         least = min(rows.closed for rows in self._rows)
         continuation = Continuation(self._comm, least, damps=damps)
         self._largest, self._largest_terms = 0.0, np.zeros(1)
-        self._num_rays, polished = 0, False
+        self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
         share, step = 1.0, 0
         while True:
@@ -369,7 +374,7 @@ class ContactSystem(NonlinearSystem):
                 rows.start_set(stiffness, zero)
             if self._num_free:
                 self._hold()
-            is_balanced = self._balances()
+            is_balanced = self._balances() or self._balances_between()
             self._record(step)
             self._interrupts.check()
             if is_balanced and (step or (self._is_exact and not self._hold_too_much())):
@@ -764,6 +769,41 @@ class ContactSystem(NonlinearSystem):
         none = worst <= nothing
         self._is_exact = bool(none) and not self._tied  # ties have gaps, too
         return bool(none or worst <= self._rtol * size)
+
+    def _balances_between(self) -> bool:
+        """True if forces between those of this and of the last state balance; takes these then.
+
+        Both states are the same within what is treated as zero, on both sides of a kink.
+        Collective.
+        """
+        parts, last = self._x.getNestSubVecs(), self._before
+        values = [part.array_r.copy() for part in parts]
+        self._before = values, self._left, [rows.acting for rows in self._rows]
+        if last is None:
+            return False
+        apart = [b - a for a, b in zip(values, last[0], strict=True)]
+        far = max(float(np.abs(part).max(initial=0)) for part in self._of_displacements(apart))
+        if self._comm.allreduce(far, MPI.MAX) > min(rows.closed for rows in self._rows):
+            return False
+        change = [b - a for a, b in zip(self._left, last[1], strict=True)]
+        sums = np.array([sum(map(np.vdot, of, change)).real for of in (self._left, change)])
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        if not 0 < -sums[0] < sums[1]:
+            return False
+        share, state = -sums[0] / sums[1], self._state()
+        for part, more in zip(parts, apart, strict=True):
+            part.array[:] += share * more
+        self._assign(self._x)
+        for rows, acting in zip(self._rows, last[2], strict=True):
+            rows.act_between(acting, share)
+        self._evaluate(self._x, self._b)
+        if self._balances():
+            return True
+        self._restore(state)
+        for rows in self._rows:
+            rows.update_geometry()
+        self._evaluate(self._x, self._b)
+        return self._balances()
 
     def _of_couplings(self, left: Sequence[npt.NDArray]) -> tuple[float, float]:
         """Squares of couplings' residuals and of their extents, as forces. Collective."""

@@ -3,7 +3,7 @@
 """A contact with Coulomb friction in a problem: stick, slip, and their linear equations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -334,6 +334,12 @@ class FrictionRows(ContactRows):
     @property
     def _values(self) -> npt.NDArray[np.float64]:
         return np.concatenate((self.state.p, self.state.q.ravel()))
+
+    def _take(self, values: npt.NDArray[np.float64]):
+        """Take multipliers, and what acts along their rows."""
+        super()._take(values)
+        num, at = len(self.g), self._acting.some(self._acting.i >= len(self.g))
+        self.state.q, self.T = values[num:].reshape(-1, num), replace(at, i=at.i - num)
 
     def forget(self):
         """Set all pressures and tractions to zero."""

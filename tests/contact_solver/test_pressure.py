@@ -19,7 +19,7 @@ from test_contact_scenes import press_punch
 
 import meshes
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, la
 from dolfinx.mesh import CellType, create_box, locate_entities_boundary
 from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -124,7 +124,7 @@ def test_stable(ratio, num):
     assert np.sqrt(scipy.linalg.eigvalsh(coarse, fine)[0]) >= 0.6
 
 
-def quarter_cylinders(cell):
+def quarter_cylinders(cell, around=(6, 4), along=(6, 4), sliding="small", friction=None):
     """Two thick cylinders, a quarter of each, of which the inner one is larger by 1e-3."""
     u, F, bcs, sides = [], [], [], []
     for i, (inside, outside) in enumerate(((0.5, 1.001), (1.0, 1.5))):
@@ -133,7 +133,7 @@ def quarter_cylinders(cell):
             r, angle = inside + (outside - inside) * x[:, 2], np.pi / 2 * x[:, 0]
             return np.column_stack((r * np.cos(angle), r * np.sin(angle), x[:, 1]))
 
-        mesh, ft = meshes.block(comm, (6 - 2 * i, 6 - 2 * i, 2), bent, cell=cell, degree=2)
+        mesh, ft = meshes.block(comm, (around[i], along[i], 2), bent, cell=cell, degree=2)
         V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
         body = Elastic.on(V, (1.0, 1.0))
         for axis, tag in ((1, 1), (0, 2), (2, 3), (2, 4)):
@@ -142,17 +142,41 @@ def quarter_cylinders(cell):
         u.append(body.u)
         F.append(body.F)
         sides.append((V, ft.find(6 - i)))
-    contact = Contact(*sides, sliding="small")
+    contact = Contact(*sides, sliding=sliding, friction=friction)
     problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
     problem.solve()
-    return contact.pressures(problem)
+    return problem, contact.pressures(problem)
 
 
 @pytest.mark.parametrize("cell", ("hexahedron", "tetrahedron"))
 def test_surfaces_that_fit(cell):
     """Curved on both sides; pressures at the nodes of degree 2 would be .3 to 1.6 of the mean."""
-    p = quarter_cylinders(cell)
+    _, p = quarter_cylinders(cell)
     assert np.abs(p / p.mean() - 1).max() <= 0.06
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("friction", (None, 0.2))
+def test_equilibrium_at_kinks(friction):
+    """Gaps have kinks where both outlines are one: forces between those of both sides balance."""
+    problem, p = quarter_cylinders("hexahedron", (4, 9), (2, 3), "finite", friction)
+    assert problem.iterations <= 6
+    assert problem.halvings == 0
+    assert (p > 0).all()
+    contact = problem.contacts[0]
+    rows = problem.rows(contact)
+    every = zip(problem.F, contact.spaces, rows.sides, rows.contact_forces(), strict=True)
+    for F, V, side, force in every:  # what contact does to a body is what the body resists
+        b = fem.assemble_vector(F)
+        b.scatter_reverse(la.InsertMode.add)
+        start, end = V.dofmap.index_map.local_range
+        mine = (side.dofs >= start) & (side.dofs < end)
+        left, x = b.array.reshape(-1, 3)[: end - start], V.tabulate_dof_coordinates()[: end - start]
+        size = np.abs(left).max()
+        left[side.dofs[mine] - start] -= force[mine]
+        held = np.isclose(x, 0)  # planes of symmetry, and z = 1
+        held[:, 2] |= np.isclose(x[:, 2], 1)
+        assert np.abs(left[~held]).max(initial=0) <= 1e-7 * size
 
 
 def integral(f):
