@@ -126,8 +126,9 @@ def went_through(
 
     Such a vertex crosses the middle of the wall from the front, ends behind it, and comes nearer by
     half of the wall at least. The wall is what lies between a facet and the far side of its own
-    surface or, if that is less, between the vertex and the far side of its own. Surfaces without a
-    far side have no walls.
+    surface or, if that is less, between the vertex and the far side of its own, both along the
+    facet's normal: what slides past an end of the other surface, a little deeper than it, goes
+    along its own. Surfaces without a far side have no walls.
 
     Args:
         mine: The surface before and after.
@@ -151,7 +152,7 @@ def went_through(
     far = 2 * np.minimum(h0 - h1, -h1)
     on = own[v // own.shape[1]]
     deep = np.minimum(
-        _walls(mine[0].x[own], own, x[0][v], -far[:, None] * _units(mine[0].x[on]), on),
+        _walls(mine[0].x[own], own, x[0][v], far[:, None] * n[0, f], on),
         _walls(c[0], corners, c[0][f].mean(axis=1), -far[:, None] * n[0, f], corners[f]),
     )
     deep *= far / 2
