@@ -545,11 +545,12 @@ class Tie(Settable, collective.Owner):
 
         0 if nothing of the tie has directions: they are those of the meshes as they were made.
         """
-        law = self.compliance or self.law
+        law, surface = self.compliance or self.law, self._surfaces[1]
         own = [f for f in map(self.components[1].own_function, u) if f is not None]
-        if law is None or not law.has_directions or not own:
+        is_vector = self.block_size == surface.gdim
+        if law is None or not law.has_directions or not is_vector or not own:
             return 0.0
-        side = MovingSurface(self._surfaces[1])
+        side = MovingSurface(surface)
         return side.turns(side.values(own[0]))
 
     def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:

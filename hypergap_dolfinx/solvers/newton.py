@@ -308,10 +308,10 @@ class NonlinearSystem(TiedSystem):
             self._told_turned.add(t)
             if self._u[0].function_space.mesh.comm.rank == 0:
                 LOG.warning(
-                    f"tie {t}: its surfaces have turned by {np.degrees(turn):.2g}°, but normal and "
-                    "tangential directions of its law are those of the meshes: tractions are "
-                    "wrong by about that angle; take one compliance or conductance for all "
-                    "directions, or a law without the normal."
+                    f"tie {t}: its surfaces have turned by {np.degrees(turn):.2g}° if u is a "
+                    "displacement, but normal and tangential directions of its law are those of "
+                    "the meshes: tractions are wrong by about that angle; take one compliance or "
+                    "conductance for all directions, or a law without the normal."
                 )
 
     def state(self) -> State:
