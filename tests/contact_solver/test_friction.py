@@ -201,7 +201,10 @@ def test_rotation_with_small_sliding(caplog):
 
 
 def test_squeezed_by_plates():
-    """A ring that friction alone holds, without a load on it where a load step starts."""
+    """A ring that friction alone holds, without a load on it where a load step starts.
+
+    The share of the diagonal that may hold it then isn't that load's round-off.
+    """
     ring, tags = meshes.ring_sector(comm, 32, 2, 0.8, 1.0, angle=2 * np.pi)
     body = Elastic.on(fem.functionspace(ring, ("Lagrange", 1, (2,))), large=True)
     plates = [rectangle((20, 1), (-2, y), (2, y + 0.2)) for y in (1.0, -1.2)]
@@ -212,7 +215,7 @@ def test_squeezed_by_plates():
         for plate, tag in zip(plates, (meshes.BOTTOM, meshes.TOP), strict=True)
     ]
     problem = ContactProblem([None, None, body.F], [*u, body.u], contacts=contacts)
-    for k in range(1, 5):
+    for k in (1, 2):
         for one, sign in zip(u, (-1, 1), strict=True):
             one.interpolate(lambda x, way=sign * 0.1 * k: (0 * x[0], way + 0 * x[0]))
         problem.solve()
