@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.core.collective import raise_on_all
-from hypergap_dolfinx.multipliers.numbering import look_up
+from hypergap_dolfinx.core.collective import raise_on_all, values_at
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface, lagrange_element
 
@@ -84,10 +83,7 @@ class Coefficient:
             found = np.full(self._num, float(now))
         else:
             assert self._at is not None
-            dofmap = self._value.function_space.dofmap
-            owned = self._value.x.array[: dofmap.index_map.size_local, None]
-            offset = dofmap.index_map.local_range[0]
-            found = self._at.at_vertices(look_up(self._comm, owned, offset, self._at.dofs))[:, 0]
+            found = self._at.at_vertices(values_at(self._value, self._at.dofs))[:, 0]
         wrong = found[~(np.isfinite(found) & (found >= 0))]
         bad = None
         if len(wrong):

@@ -32,9 +32,8 @@ from hypergap_dolfinx.joining import Joined
 from hypergap_dolfinx.solvers.checkpoint import Checkpoint, Part
 from hypergap_dolfinx.solvers.hooks import Hooks
 from hypergap_dolfinx.solvers.records import times
-from hypergap_dolfinx.solvers.tolerances import TURNED
 from hypergap_dolfinx.surface.component import Component, lagrange_components
-from hypergap_dolfinx.surface.moving import Displacements
+from hypergap_dolfinx.surface.moving import Displacements, MovingSurface
 from hypergap_dolfinx.surface.tolerances import OWN_GAP
 from hypergap_dolfinx.surface.trace import gap_of_chords, is_mixed
 from hypergap_dolfinx.tie import Tie
@@ -245,9 +244,6 @@ class ContactProblem(ContactSystem):
         self._path = LoadPath(self._comm, values_of(forms, bcs, moved, values, without=without))
         self._last = Extrapolation(self._comm)
         self._halvings = 0
-        self._told_far = set[tuple[int, int]]()
-        self._told_over, self._told_fixed = set[int](), set[int]()
-        self._told_small = set[int]()
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
         revolution.tell(of_bodies, contacts, "contact")
@@ -621,13 +617,13 @@ class ContactProblem(ContactSystem):
             ),
         )
         for c, rows in enumerate(self._rows):
-            left = [k for k in range(len(kinds)) if (c, k) not in self._told_far]
+            left = [k for k in range(len(kinds)) if ("far", c, k) not in self._told]
             found = rows.reaches(FAR_PRESSURE / 2) if left else []
             for k, (size, at) in enumerate(found):
                 bound, words = kinds[k]
                 if k not in left or size <= bound:
                     continue
-                self._told_far.add((c, k))
+                self._told.add(("far", c, k))
                 if comm.rank == 0:
                     LOG.warning(
                         f"contact {c}: at {spot(at[None])} {words.format(size)}: a gap is the mean "
@@ -640,11 +636,11 @@ class ContactProblem(ContactSystem):
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             fixed = (rows.m > 0) & ~rows.valid
             depth = np.divide(-rows.g, rows.m, out=np.zeros(len(rows.m)), where=fixed)
-            if c in self._told_fixed or depth.max(initial=0) <= rows.closed:
+            if ("fixed", c) in self._told or depth.max(initial=0) <= rows.closed:
                 continue
             if depth.max() <= 2 * gap_of_chords(*contact.geometry.surfaces):
                 continue
-            self._told_fixed.add(c)
+            self._told.add(("fixed", c))
             if comm.rank == 0:
                 at = rows.sides[1].reference.x[[int(depth.argmax())]]
                 LOG.warning(
@@ -657,12 +653,14 @@ class ContactProblem(ContactSystem):
         """Warn, once for each body, of cells that are turned over as it slides far. Collective."""
         follow = zip(self._contacts, self._rows, strict=True)
         moved = {b for contact, rows in follow if contact.geometry.follows for b in rows.bodies}
-        for b in sorted((moved & set(range(self._num_elastic))) - self._told_over):
+        for b in sorted(moved & set(range(self._num_elastic))):
+            if ("over", b) in self._told:
+                continue
             u = self._moving[b].own_function(self._u[b])
             places = [x for part in comm.allgather(turned_over(u)) for x in part]
             if not places:
                 continue
-            self._told_over.add(b)
+            self._told.add(("over", b))
             if comm.rank == 0:
                 LOG.warning(
                     f"{self._names[b]}: cells are turned over at a corner, the first around "
@@ -670,20 +668,17 @@ class ContactProblem(ContactSystem):
                     "residual sees it: results there are wrong; refine, or round sharp corners."
                 )
 
-    def _warn_of_turns(self):
-        """The same of contacts with small sliding. Collective."""
-        super()._warn_of_turns()
-        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
-            if c in self._told_small or contact.geometry.follows:
-                continue
-            if (turn := rows.sides[1].turns(rows.u[1])) > TURNED:
-                self._told_small.add(c)
-                if self._comm.rank == 0:
-                    LOG.warning(
-                        f"contact {c}: its surfaces have turned by {np.degrees(turn):.2g}°, but "
-                        'with sliding="small" normals are those of the meshes: forces are wrong '
-                        'by about that angle; take sliding="finite".'
-                    )
+    def _turning(self) -> list[tuple[str, float, str]]:
+        """The same, and contacts with small sliding."""
+        words = (
+            'but with sliding="small" normals are those of the meshes: forces are wrong by about '
+            'that angle; take sliding="finite".'
+        )
+        return super()._turning() + [
+            (f"contact {c}", max(map(MovingSurface.turns, rows.sides, rows.u)), words)
+            for c, rows in enumerate(self._rows)
+            if not self._contacts[c].geometry.follows
+        ]
 
     def _warn_of_reach(self, comm):
         """Warn of surfaces with nothing opposite."""

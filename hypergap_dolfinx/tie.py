@@ -19,7 +19,7 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.algebra.checks import label
 from hypergap_dolfinx.core import collective
-from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.core.collective import raise_on_all, values_at
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
 from hypergap_dolfinx.interface_laws import compliance as soft
 from hypergap_dolfinx.interface_laws import law as laws
@@ -541,17 +541,19 @@ class Tie(Settable, collective.Owner):
         return laws.Response(law, self._domain, self.constraint, self._spaces[1])
 
     def turns(self, u: Sequence[fem.Function]) -> float:
-        """Root mean square by which displacements turn Γ1's facets, in radians. Collective.
+        """Root mean square by which displacements turn a side's facets, in radians. Collective.
 
-        0 if nothing of the tie has directions: they are those of the meshes as they were made.
+        The larger one of both sides. 0 if nothing of the tie has directions: they are those of the
+        meshes as they were made.
         """
-        law, surface = self.compliance or self.law, self._surfaces[1]
-        own = [f for f in map(self.components[1].own_function, u) if f is not None]
-        is_vector = self.block_size == surface.gdim
-        if law is None or not law.has_directions or not is_vector or not own:
+        law, found = self.compliance or self.law, [0.0]
+        if law is None or not law.has_directions or self.block_size != self._surfaces[1].gdim:
             return 0.0
-        side = MovingSurface(surface)
-        return side.turns(side.values(own[0]))
+        for part, surface in zip(self.components, self._surfaces, strict=True):
+            side = MovingSurface(surface)
+            own = [f for f in map(part.own_function, u) if f is not None]
+            found += [side.turns(values_at(f, side.dofs).real) for f in own[:1]]
+        return max(found)
 
     def _weighting[T: soft.Weighting](self, kind: type[T]) -> T | None:
         """The compliance or the conductance, if given."""

@@ -28,10 +28,10 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     HOLDS,
     ROUND_OFF_FORCES,
 )
+from hypergap_dolfinx.core.collective import look_up
 from hypergap_dolfinx.errors import InterfaceError, NotFacingError
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion, RigidSides
 from hypergap_dolfinx.multipliers.interface import ContactInterface, Interface
-from hypergap_dolfinx.multipliers.numbering import look_up
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import (
     Displacements,
@@ -248,9 +248,8 @@ class ContactRows:
             InterfaceError: There is no Σ, though the sides face each other.
         """
         self.u = self.displacements([f.x.array for f in self.fields])
-        if self.start is None:  # what users move has been moved already
-            pairs = zip(self.bodies, self._first, self.u, strict=True)
-            self.start = tuple(a if body is None else b for body, a, b in pairs)
+        if self.start is None:
+            self.start = self.before()
         g, m, C = self._find()
         has = self.condensed_to >= 0
         self.g, self.m = (

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Actions that all ranks take together: destroying PETSc objects, and raising the same error.
+"""Actions that all ranks take together: destroying PETSc objects, errors, look-ups.
 
 Destroying a PETSc object is collective, but Python's garbage collection is not: two ranks may
 release the objects of two problems in different orders. So released objects wait until the next
@@ -21,6 +21,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx import fem
 from hypergap_dolfinx.errors import InterfaceError, SolveError
 
 Ranks = tuple[int, ...]
@@ -146,6 +147,32 @@ def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = I
     first = next((m for m in comm.allgather(message) if m), None)
     if first:
         raise error(first)
+
+
+def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArray:
+    """Values at global dofs (blocks) on every rank. Collective.
+
+    Args:
+        comm: Communicator.
+        owned: This rank's values, ``(num_owned, ...)``.
+        offset: Global number of the first owned dof.
+        dofs: Global dofs, the same on every rank, ``(num,)``.
+
+    Returns:
+        ``(num, ...)``, the same on every rank.
+    """
+    mine = (dofs >= offset) & (dofs < offset + len(owned))
+    values = np.zeros((len(dofs), *owned.shape[1:]), dtype=owned.dtype)
+    values[mine] = owned[dofs[mine] - offset]
+    comm.Allreduce(MPI.IN_PLACE, values)
+    return values
+
+
+def values_at(f: fem.Function, dofs) -> npt.NDArray:
+    """Values of a function at global dofs (blocks), ``(num, block_size)``. Collective."""
+    dofmap, index_map = f.function_space.dofmap, f.function_space.dofmap.index_map
+    owned = f.x.array.reshape(-1, dofmap.index_map_bs)[: index_map.size_local]
+    return look_up(f.function_space.mesh.comm, owned, index_map.local_range[0], dofs)
 
 
 def wait_idly(comm: MPI.Comm):

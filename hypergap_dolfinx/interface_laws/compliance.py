@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.core.collective import raise_on_all, spot
+from hypergap_dolfinx.core.collective import raise_on_all, spot, values_at
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.interface_laws import given_values
 from hypergap_dolfinx.mortar import kernel
@@ -104,10 +104,10 @@ class Weighting:
     @property
     def has_directions(self) -> bool:
         """True if c is one along the normal and another one across it."""
-        return len(self._parts) == 2
+        return len(set(self.key)) == 3  # a name and two values
 
     @property
-    def key(self) -> Hashable:
+    def key(self) -> tuple[Hashable, ...]:
         """Key that is equal for values that are and remain the same."""
         return self.name, *(
             id(part) if given_values.is_read(part) else float(part)  # type: ignore[arg-type]
@@ -157,12 +157,7 @@ class Weighting:
     def _on_surface(self, part: Any, surface: Surface, dofs, x) -> npt.ArrayLike:
         """Values at Γ1's dofs; collective for a function."""
         if isinstance(part, fem.Function):
-            comm = self._domain.comm
-            start, end = surface.dof_range[comm.rank : comm.rank + 2]
-            mine = (start <= dofs) & (dofs < end)
-            values = np.zeros(len(dofs), dtype=part.x.array.dtype)
-            values[mine] = part.x.array[dofs[mine] - start]
-            return comm.allreduce(values)
+            return values_at(part, dofs)[:, 0]
         if isinstance(part, fem.Constant):
             return part.value
         if given_values.is_read(part):

@@ -78,6 +78,9 @@ class Interface(Protocol):
     def turn(self) -> npt.NDArray | None:
         """Rotation R in u₁ = R u₀, ``(block_size, block_size)``; None for the identity."""
 
+    def turns(self, u: Sequence[fem.Function]) -> float:
+        """Root mean square by which u turn a side's facets; 0 if nothing has directions."""
+
     def blocks(self) -> tuple[PETSc.Mat, ...]:
         """B₀ and B₁, with free interior nodes also B_Σ."""
 

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
+from hypergap_dolfinx.core.collective import look_up
 from hypergap_dolfinx.core.graph import PartsOf, components
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.mortar.constraint import Multipliers
@@ -29,25 +28,6 @@ Pair = tuple[int, int]
 
 Follows = dict[int, tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]]
 """Multipliers, and weights at others that make λ there."""
-
-
-def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArray:
-    """Values at global dofs (blocks) on every rank. Collective.
-
-    Args:
-        comm: Communicator.
-        owned: This rank's values, ``(num_owned, block_size)``.
-        offset: Global number of the first owned dof.
-        dofs: Global dofs, the same on every rank, ``(num,)``.
-
-    Returns:
-        ``(num, block_size)``, the same on every rank.
-    """
-    mine = (dofs >= offset) & (dofs < offset + len(owned))
-    values = np.zeros((len(dofs), owned.shape[1]), dtype=owned.dtype)
-    values[mine] = owned[dofs[mine] - offset]
-    comm.Allreduce(MPI.IN_PLACE, values)
-    return values
 
 
 def prescribed_dofs(tie: Interface, side: int, prescribed, dofs) -> npt.NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 """Residual and tangent of nonlinear tied bodies, assembled when their data change."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -154,7 +154,7 @@ class NonlinearSystem(TiedSystem):
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
         self._checkpoint: Checkpoint | None = None
-        self._told_turned = set[int]()
+        self._told = set[Hashable]()  # what is said only once
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
         self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and
@@ -301,18 +301,22 @@ class NonlinearSystem(TiedSystem):
         self.assemble_matrix()
 
     def _warn_of_turns(self):
-        """Warn, once for each tie, of laws' directions that don't turn with it. Collective."""
-        for t, tie in enumerate(self.ties):
-            if t in self._told_turned or (turn := tie.turns(self._u)) <= TURNED:
+        """Warn, once for each interface, of directions that don't turn with it. Collective."""
+        for name, turn, words in self._turning():
+            if name in self._told or turn <= TURNED:
                 continue
-            self._told_turned.add(t)
+            self._told.add(name)
             if self._u[0].function_space.mesh.comm.rank == 0:
-                LOG.warning(
-                    f"tie {t}: its surfaces have turned by {np.degrees(turn):.2g}° if u is a "
-                    "displacement, but normal and tangential directions of its law are those of "
-                    "the meshes: tractions are wrong by about that angle; take one compliance or "
-                    "conductance for all directions, or a law without the normal."
-                )
+                LOG.warning(f"{name}: its surfaces have turned by {np.degrees(turn):.2g}° {words}")
+
+    def _turning(self) -> list[tuple[str, float, str]]:
+        """Interfaces with directions of the meshes: names, turns, advice. Collective."""
+        words = (
+            "if u is a displacement, but normal and tangential directions of its law are those of "
+            "the meshes: tractions are wrong by about that angle; take one compliance or "
+            "conductance for all directions, or a law without the normal."
+        )
+        return [(f"tie {t}", tie.turns(self._u), words) for t, tie in enumerate(self.ties)]
 
     def state(self) -> State:
         """State between two load steps, for :meth:`restore` and for files. Collective.

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 import basix
-from dolfinx import fem
 from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.surface.search import meeting
@@ -98,15 +96,6 @@ class MovingSurface:
         """Root mean square of facets' turns under u at :attr:`dofs`, in radians where small."""
         change = self.displaced(u).normals - self.reference.normals
         return float(np.sqrt((change**2).sum(axis=1).mean()))
-
-    def values(self, u: fem.Function) -> npt.NDArray[np.float64]:
-        """Values at :attr:`dofs` of a function on the surface's space. Collective."""
-        num = u.function_space.dofmap.index_map_bs
-        first, end = u.function_space.dofmap.index_map.local_range
-        found, mine = np.zeros((len(self.dofs), num)), (first <= self.dofs) & (self.dofs < end)
-        found[mine] = u.x.array.reshape(-1, num)[self.dofs[mine] - first].real
-        u.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, found)
-        return found
 
 
 Sides = tuple[MovingSurface, MovingSurface]

@@ -341,16 +341,19 @@ def test_nonlinear():
 
 
 @two_ranks()
-@pytest.mark.parametrize("given", (0.7, (0.7, 0.2)), ids=("one", "two"))
-def test_turned(caplog, given):
+@pytest.mark.parametrize("which", ((0, 1), (0,), (1,)), ids=("both", "first", "second"))
+@pytest.mark.parametrize("given", (0.7, (0.7, 0.7), (7.0, 2.0)), ids=("one", "equal", "two"))
+def test_turned(caplog, given, which):
     """Normals don't turn with bodies: that is told if the law has two directions."""
     bodies = blocks()
     t = tie(bodies, *TIED, compliance=given)
-    p = held_outside(bodies, [t], TIED, lambda i, x: (-0.1 * x[1], 0.1 * x[0]))
+    p = held_outside(
+        bodies, [t], TIED, lambda i, x: (i in which) * np.array((-0.1 * x[1], 0.1 * x[0]))
+    )
     p.solve()
     p.solve()
     told = [line for line in caplog.messages if "have turned by 5" in line]
-    assert len(told) == (given != 0.7 and comm.rank == 0)
+    assert len(told) == (given == (7.0, 2.0) and comm.rank == 0)
 
 
 @pytest.mark.parametrize("solver", ("bodies", "iterative"))
