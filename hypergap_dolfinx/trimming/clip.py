@@ -17,7 +17,7 @@ from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 from hypergap_dolfinx.surface.triangulation import neighbours
 from hypergap_dolfinx.trimming.curved_outlines import crossings, upright
 from hypergap_dolfinx.trimming.outlines import Meetings, Rim, Shared, locate, meetings
-from hypergap_dolfinx.trimming.subdivision import Corner, Cut
+from hypergap_dolfinx.trimming.subdivision import Cut, Node
 from hypergap_dolfinx.trimming.tolerances import CORNER_OUTLINE, NEARLY, OFF_OUTLINES, SNAP
 
 
@@ -80,14 +80,14 @@ def sorted_out(side: Side, x, cells, behind, origin, weights) -> Side:
 
 
 def _meet(
-    cuts: list[Cut], shared: Shared, corners: Sequence[Corner]
+    cuts: list[Cut], shared: Shared, more: Sequence[Node]
 ) -> tuple[dict[int, int], dict[int, int]]:
     """Make nodes where the outlines meet; for each side, its node at each node of the other.
 
     Args:
         cuts: The pieces.
         shared: What both outlines have in common.
-        corners: Corners of either that lie on the other one.
+        more: Corners of either that lie on the other one, and further nodes of either.
     """
     twins: tuple[dict[int, int], dict[int, int]] = {}, {}
 
@@ -96,8 +96,10 @@ def _meet(
 
     for k in shared.ends:
         join([cut.put(float(at[k])) for cut, at in zip(cuts, shared.at, strict=True)])
-    for corner in corners:
-        join([cut.on_edge(*place) for cut, place in zip(cuts, corner, strict=True)])
+    for node in more:
+        both = [cut.on_edge(*place) for cut, place in zip(cuts, node, strict=True) if place]
+        if len(both) == 2:
+            join(both)
     for cut in cuts:
         cut.bend()
     (places0, edges0), (places1, edges1) = (cut.edges() for cut in cuts)
@@ -118,7 +120,8 @@ def _meet(
     some = np.flatnonzero((met.s > 0) & (met.s < 1) & (met.r > 0) & (met.r < 1))
     if len(some):  # of straight edges too: seen along normals that turn
         arcs = [cut.arcs([own[i] for i in some]) for cut, own in zip(cuts, edges, strict=True)]
-        s, r, good = crossings(arcs[0], arcs[1], at[0][some], at[1][some])
+        s, r, done = crossings(arcs[0], arcs[1], at[0][some], at[1][some])
+        good = done & (np.minimum(s, r) > 0) & (np.maximum(s, r) < 1)
         at[0][some[good]], at[1][some[good]] = s[good], r[good]
     for i in range(len(met.s)):
         join(
@@ -184,19 +187,19 @@ def clip(
     corner = CORNER_OUTLINE if of_one_curve else 0.0
     shared = Shared(rims, snap / length[:, 1].max(), 0.0, corner)
     sides = side0.in_halves(), side1.in_halves()
-    corners: list[Corner] = []
+    more: list[Node] = []
     is_drawn = False
     while not is_drawn:
         cuts = [Cut(sides[i], rims[i], partial(shared.is_run, i), snap) for i in (0, 1)]
-        twins = _meet(cuts, shared, corners)
+        twins = _meet(cuts, shared, more)
         outlines = [cut.outline() for cut in cuts]
         for i in (0, 1):
             outline, other = outlines[i], outlines[1 - i]
-            corner = cuts[i].follow(cuts[1 - i], outline, other, twins[i], at_corners)
-            if corner:
-                corners.append(corner if i == 0 else corner[::-1])
+            missing = cuts[i].follow(cuts[1 - i], outline, other, twins[i], at_corners)
+            if missing:
+                more += missing if i == 0 else [(own, place) for place, own in missing]
                 break
-        is_drawn = not corner
+        is_drawn = not missing
     kept = [part for i in (0, 1) if (part := _kept(cuts[i], sides[1 - i]))]
     if len(kept) < 2:
         raise NotFacingError(

@@ -66,7 +66,7 @@ def crossings(own: Arcs, other: Arcs, s, r) -> tuple[npt.NDArray, npt.NDArray, n
         r: The same on the other edges.
 
     Returns:
-        Both parameters, and the mask of crossings that were found.
+        Both parameters, and the mask of crossings that were found, of edges or their extensions.
     """
     z = np.zeros(len(s))
     done = np.zeros(len(s), dtype=bool)
@@ -83,7 +83,7 @@ def crossings(own: Arcs, other: Arcs, s, r) -> tuple[npt.NDArray, npt.NDArray, n
         done |= np.einsum("pi,pi->p", off, off) < 1e-20 * square
         if done.all():
             break
-    return s, r, done & (s > 0) & (s < 1) & (r > 0) & (r < 1)
+    return s, r, done
 
 
 class OutlineCurves:
@@ -108,7 +108,7 @@ class OutlineCurves:
         """Nodes along the parts except at their ends."""
         return list(dict.fromkeys(node for _, nodes, _ in self._tracks for node in nodes[1:-1]))
 
-    def settled(self, nodes: list[int], arcs: Arcs, s) -> dict[int, float]:
+    def settled(self, nodes: list[int], arcs: Arcs, s) -> tuple[dict[int, float], set[int]]:
         """Crossings of the outline with the piece's edges.
 
         Args:
@@ -117,10 +117,12 @@ class OutlineCurves:
             s: The nodes' parameters, ``(num_nodes,)``.
 
         Returns:
-            New parameters of the nodes for which a crossing was found.
+            New parameters of nodes for which a crossing was found, and nodes that belong where they
+            are: they lie between the outline and a node that both outlines share within the
+            meshes' uncertainty.
         """
         if not nodes:
-            return {}
+            return {}, set()
         at: dict[int, tuple[int, int]] = {}
         for i, (_, along, _) in enumerate(self._tracks):
             for k, node in enumerate(along[1:-1], 1):
@@ -128,8 +130,13 @@ class OutlineCurves:
         places = [at[node] for node in nodes]
         others = self._arcs([self._tracks[i][0] for i, _ in places])
         r = np.array([self._tracks[i][2][k] for i, k in places])
-        s, r, good = crossings(arcs, others, s, r)
-        new = dict(zip(nodes, zip(s.tolist(), r.tolist(), good.tolist(), strict=True), strict=True))
+        s, r, done = crossings(arcs, others, s, r)
+        ends = np.sort([[self._tracks[i][2][k] for k in (0, -1)] for i, _ in places])
+        crossed = done & (s > 0) & (s < 1)
+        inside = (r > ends[:, 0]) & (r < ends[:, 1])
+        beyond = {node for node, there in zip(nodes, crossed & ~inside, strict=True) if there}
+        given = zip(s.tolist(), r.tolist(), (crossed & inside).tolist(), strict=True)
+        new = {n: values for n, values in zip(nodes, given, strict=True) if n not in beyond}
         found: dict[int, float] = {}
         for i, (edge, along, before) in enumerate(self._tracks):
             own = [node for node in along[1:-1] if at[node][0] == i and node in new]
@@ -138,7 +145,7 @@ class OutlineCurves:
             if own and all(new[node][2] for node in own) and steps.min() > 0:
                 self._tracks[i] = edge, along, after
                 found.update((node, new[node][0]) for node in own)
-        return found
+        return found, beyond
 
     def close(self, nodes: set[int]):
         """End the drawing, given the nodes that lie on the curved outline."""

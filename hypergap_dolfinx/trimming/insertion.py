@@ -39,17 +39,21 @@ class Nodes:
         """The node at a parameter on an edge: a new one unless one is within ``snap``."""
         if a > b:
             a, b, s = b, a, 1 - s
-        near = self.snap / float(np.linalg.norm(self.side.x[b] - self.side.x[a]))
-        for r, node in [(0.0, a), (1.0, b), *self.on.get((a, b), [])]:
-            if abs(s - r) <= near:
-                return node
-        return self._new(a, b, s)
-
-    def _new(self, a: int, b: int, s: float) -> int:
+        if (near := self._near(a, b, s)) is not None:
+            return near
         node = self.num_vertices + len(self.at)
         self.at.append((a, b, s))
         self.on[a, b] = sorted([*self.on.get((a, b), []), (s, node)])
         return node
+
+    def is_free(self, a: int, b: int, s: float) -> bool:
+        """True if a node would be a new one there."""
+        return self._near(a, b, s) is None if a < b else self.is_free(b, a, 1 - s)
+
+    def _near(self, a: int, b: int, s: float) -> int | None:
+        near = self.snap / float(np.linalg.norm(self.side.x[b] - self.side.x[a]))
+        on = [(0.0, a), (1.0, b), *self.on.get((a, b), [])]
+        return next((node for r, node in on if abs(s - r) <= near), None)
 
     def in_triangle(self, triangle: int, weights) -> int:
         """The node at a place in a triangle; on its edge or vertex if within ``snap`` of it."""

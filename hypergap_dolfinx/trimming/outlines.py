@@ -48,8 +48,8 @@ class Rim:
         normals = side.vertex_normals[ends[self.edge]]
         self.normal = (1 - self.s)[:, None] * normals[:, 0] + self.s[:, None] * normals[:, 1]
         if len(inner):
-            arcs = Arcs.between(side, triangle[self.edge[inner]], ends[self.edge[inner]])
-            self.x[inner] = arcs.at(self.s[inner])[0]
+            self._arcs = Arcs.between(side, triangle, ends)
+            self.x[inner] = self._arcs[self.edge[inner]].at(self.s[inner])[0]
         self.t = np.roll(self.x, -1, axis=0) - self.x
         self.length = np.linalg.norm(self.t, axis=1)
         unit = self.t / self.length[:, None]
@@ -75,6 +75,21 @@ class Rim:
             same = np.roll(is_corner, way) | (turn * np.roll(turn, way) > 0)
             going = np.maximum(going, np.where(same, np.roll(curvature, way), 0))
         return np.where(is_corner, 0, np.minimum(curvature, going))
+
+    def foot(self, x, edge, s) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """Places on arcs, nearest to points, from those on the polygon: an edge, a parameter."""
+        edge, s = edge.copy(), s.copy()
+        some = np.flatnonzero((self.num[self.edge[edge]] > 1) & (s > 0) & (s < 1))
+        if len(some):
+            e = self.edge[edge[some]]
+            num, arcs = self.num[e], self._arcs[e]
+            t = self.s[edge[some]] + s[some] / num
+            for _ in range(NEWTON_OUTLINES):
+                y, _, dy, _ = arcs.at(t)
+                t = np.clip(t + _dot(x[some] - y, dy) / _dot(dy, dy), 0, 1)
+            k = np.minimum(np.floor(num * t), num - 1).astype(np.intp)
+            edge[some], s[some] = self.base[e] + k, num * t - k
+        return edge, s
 
     def place(self, place: float) -> tuple[int, int, float]:
         """Vertices of an edge and a parameter on it, from a node's number and the one behind it."""
@@ -157,7 +172,7 @@ class Rim:
         length = np.maximum(self.length, other.length[edge])
         to_node = _along(self.x - other.x[there.node], n)[1]
         off = (distance - explained) / length
-        return edge, there.s, off, there.node, (to_node - explained) / length
+        return *other.foot(self.x, edge, there.s), off, there.node, (to_node - explained) / length
 
 
 def is_along(x, y, edge, s, some=slice(None)) -> bool:

@@ -22,8 +22,8 @@ from hypergap_dolfinx.trimming.tolerances import BLUNT, CHORDS, ROUNDS_BLUNT
 
 Place = tuple[int, int, float]
 """Vertices of an edge, and a parameter on it."""
-Corner = tuple[Place, Place]
-"""A corner of one outline on the other one: its place on either."""
+Node = tuple[Place | None, Place | None]
+"""A corner of one outline on the other one, by its places on either; or a node of one of them."""
 IsRun = Callable[[npt.ArrayLike], npt.NDArray[np.bool_]]
 
 
@@ -167,7 +167,7 @@ class Cut(Nodes):
 
     def follow(
         self, other: "Cut", outline, others, twins: dict[int, int], at_corners: bool
-    ) -> Corner | None:
+    ) -> list[Node]:
         """Draw the parts of the other piece's outline that lie inside.
 
         Args:
@@ -178,8 +178,8 @@ class Cut(Nodes):
             at_corners: True if outlines may meet at corners that they pass nearby.
 
         Returns:
-            A corner at which a part leaves the piece, if one does: outlines meet there. Nothing of
-            this part is drawn then.
+            Nodes without which it can't be drawn: a corner at which a part leaves the piece, where
+            outlines meet; nodes of the other one in curved parts that aren't where they are drawn.
 
         Raises:
             InterfaceError: A part leaves the piece, and not at a corner.
@@ -190,7 +190,7 @@ class Cut(Nodes):
         chains = [chain for loop in others for chain in _chains(loop[::-1], twins)]
         parts = [pair for chain in chains for pair in chain]
         if not parts:
-            return None
+            return []
         (x, n), (y, m) = (other.places([pair[i] for pair in parts]) for i in (0, 1))
         length = np.linalg.norm(x - y, axis=1)
         length[locate(self.side, (x + y) / 2, n + m)[0] < 0] *= -1
@@ -219,11 +219,12 @@ class Cut(Nodes):
                     reach = float(max(apart)) if at_corners else 0.0
                     ends, taken = (nodes[u], nodes[v]), set(twins.values())
                     corner, s = self._corner(passed[-1][0], *ends, taken, reach)
-                    return corner, (*edge[1:], r0 + s * (r1 - r0))
+                    return [(corner, (*edge[1:], r0 + s * (r1 - r0)))]
                 drawn.append(((edge, r0, r1), passed))
-        if not all(cut.side.is_affine for cut in (self, other)):
-            self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
-        return None
+        if all(cut.side.is_affine for cut in (self, other)):
+            return []
+        lost = self._settle(OutlineCurves(self.side, other.side), drawn, set(nodes.values()))
+        return [(None, place) for place in lost if other.is_free(*place)]
 
     def _corner(
         self, node: int, u: int, v: int, taken: set[int], reach: float
@@ -287,13 +288,16 @@ class Cut(Nodes):
         """Edges by their vertices."""
         return Arcs.between(self.side, [self.around(*edge)[0] for edge in edges], edges)
 
-    def _settle(self, curves: OutlineCurves, drawn, located: set[int]):
-        """Move nodes to crossings of the other's curved outline with edges, if there are any.
+    def _settle(self, curves: OutlineCurves, drawn, located: set[int]) -> list[Place]:
+        """Move nodes to crossings of the other's curved outline with edges.
 
         Args:
             curves: The outline.
             drawn: Its parts, and the nodes along each.
             located: Nodes at ends of parts.
+
+        Returns:
+            Middles of parts that don't cross the edges that they are drawn across.
         """
         for (edge, r0, r1), passed in drawn:
             curves.add(edge, [n for n, _ in passed], [r0 + s * (r1 - r0) for _, s in passed])
@@ -304,13 +308,19 @@ class Cut(Nodes):
         }
         at = {node: place for node, place in at.items() if len(place) == 3}  # on edges
         arcs = self.arcs([place[:2] for place in at.values()])
-        new = curves.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
+        new, beyond = curves.settled(list(at), arcs, np.array([place[2] for place in at.values()]))
         settled = set(located)
         for edge in dict.fromkeys(at[node][:2] for node in new):
             if self.slide(edge, new):
                 settled.update(node for _, node in self.on[edge] if node in new)
         curves.close(settled)
         self.curves = curves
+        lost = set(at) - settled - beyond
+        return [
+            (*edge[1:], (r0 + r1) / 2)
+            for (edge, r0, r1), passed in drawn
+            if not lost.isdisjoint(node for node, _ in passed[1:-1])
+        ]
 
     # The triangles
 

@@ -29,6 +29,22 @@ def along(x, m=np):
     return m.sin(2.2 * x[2])
 
 
+@pytest.mark.parametrize(("seed", "pair", "most"), ((17, (5, 6), 1e-12), (210, (4, 9), 0.01)))
+def test_area(seed, pair, most):
+    """Ties of random assemblies: where halves of planar facets are bent, where middle nodes are
+    off the middles of curved edges.
+
+    The first is exact; 8.7 % of the second were missing.
+    """
+    scene = any_assemblies.Scene(seed, 3)
+    spaces = [fem.functionspace(scene.mesh(i)[0], ("Lagrange", scene.degree)) for i in pair]
+    (sides,) = find_touching(spaces)
+    q = Tie(*sides).quadrature(2 * scene.degree + 2)
+    axis, area = scene.faces()[pair]
+    flux = scene.area(axis, q.x.reshape(-1, 3), q.weights.ravel(), q.normal.reshape(-1, 3))
+    assert abs(abs(flux) / area - 1) < most
+
+
 def solved(parts, degree, field=waves):
     """Areas of ties, and the gradient's error over the interpolant's, u given at the outside."""
     spaces, forms, loads, bcs, exacts = [], [], [], [], []
