@@ -8,6 +8,8 @@ from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
+from petsc4py import PETSc
+
 import numpy as np
 import numpy.typing as npt
 
@@ -413,7 +415,7 @@ def lagrange_element(V: fem.FunctionSpace) -> tuple[basix.finite_element.FiniteE
 
 
 def check_sides(kind: str, *sides):
-    """Raise if they are no pairs of a space and facets.
+    """Raise if they are no pairs of a space and facets, or of numbers that PETSc doesn't have.
 
     Args:
         kind: ``"tie"`` or ``"contact"``.
@@ -428,6 +430,13 @@ def check_sides(kind: str, *sides):
         if not isinstance(side[0], fem.FunctionSpace):
             raise ValueError(
                 f"a {kind}'s side is (function space, facets), not ({type(side[0]).__name__}, …)."
+            )
+        dtype = side[0].mesh.geometry.x.dtype
+        if dtype != PETSc.RealType:
+            raise ValueError(
+                f"the mesh of a {kind}'s side has coordinates of {dtype.name}, and PETSc's real "
+                f"numbers here are {np.dtype(PETSc.RealType).name}; make it with "
+                "dtype=dolfinx.default_real_type."
             )
 
 

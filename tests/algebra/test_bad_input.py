@@ -15,7 +15,9 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import create_rectangle, locate_entities_boundary
 from hypergap_dolfinx import (
+    Contact,
     InterfaceError,
     NonlinearTiedProblem,
     SolveError,
@@ -427,6 +429,21 @@ def test_curved_cells_turned_over_at_a_corner(caplog):
         "^body 0 has a cell without volume or turned over in part, at",
         lambda: TiedProblem(a, L, bcs=[held(bodies[0], BOTTOM)], ties=ties),
     )
+
+
+@pytest.mark.ranks(2, single=[(1,)])
+@pytest.mark.parametrize("single", ((0,), (1,), (0, 1)))
+def test_meshes_of_single_precision(single):
+    """PETSc has one kind of numbers: no form of such a mesh can be assembled."""
+    sides = []
+    for i in range(2):
+        dtype = np.float32 if i in single else np.float64
+        square = create_rectangle(comm, ((0, i), (1, i + 1)), (2, 2), dtype=dtype)
+        facets = locate_entities_boundary(square, 1, lambda x: np.isclose(x[1], 1))
+        sides.append((fem.functionspace(square, ("Lagrange", 1, (2,))), facets))
+    for door in (Tie, Tie.between, Contact, Contact.between):
+        words = "of float32, and .* float64; make it with dtype=dolfinx.default_real_type"
+        raises(ValueError, words, lambda door=door: door(*sides))
 
 
 @pytest.mark.ranks(2)
