@@ -99,7 +99,8 @@ class NonlinearTiedProblem(NonlinearSystem):
         Raises:
             ValueError: Different numbers of forms and functions; a tie or boundary condition on a
                 space of no body; a solver that can't solve this problem.
-            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move, and no
+                multiplier is left to tie it there, see :class:`Tie`.
         """
         if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
             raise ValueError("F and u are lists, with one form and one function for each body.")

@@ -115,7 +115,8 @@ class TiedProblem(TiedSystem):
         Raises:
             ValueError: Different numbers of forms; a tie or boundary condition on a space of no
                 body; a solver that can't solve this problem.
-            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move, and no
+                multiplier is left to tie it there, see :class:`Tie`.
         """
         if isinstance(a, ufl.Form) or isinstance(L, ufl.Form):
             raise ValueError("a and L are lists, with one form for each body.")

@@ -60,6 +60,11 @@ class Tie(Settable, collective.Owner):
     surfaces need a node, and one of them needs two edges on each side of it. All methods are
     collective.
 
+    Displacements should not be prescribed on whole facets of Γ1 where Γ0 can move: a problem
+    refuses the tie if no multiplier is left there. λ goes on from the free facets beside the
+    prescribed ones; a Γ1 of at most 32 nodes that is prescribed all over keeps its multipliers, and
+    Γ0 follows it in the mean only: where Γ0 is finer, it moves between the nodes of Γ1.
+
     Example:
         Two squares, one on top of the other:
 
@@ -270,8 +275,9 @@ class Tie(Settable, collective.Owner):
         constant if it has no multipliers at its ends), unless the finer side is stiffer. A thin
         layer, with cells a hundred times as long as thick, is always Γ1: as a finer Γ0 it would be
         tied at the nodes of the other side only, and lose digits. The first problem with the tie
-        may exchange the sides: if it prescribes whole facets of Γ1 where Γ0 can move; and
-        where several bodies meet on a smooth face, so that it is Γ1 of all its ties or Γ0 of all.
+        may exchange the sides: where it would refuse them, since whole facets of Γ1 are prescribed
+        while Γ0 can move (see :class:`Tie`); and where several bodies meet on a smooth face, so
+        that it is Γ1 of all its ties or Γ0 of all.
         :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome. λ acts on the body of
         Γ0, that of ``tie.spaces[0]``.
 

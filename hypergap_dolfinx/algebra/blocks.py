@@ -57,7 +57,8 @@ class ConstraintBlocks:
         Raises:
             ValueError: A tie on a space that belongs to no body; ties on a field of a body and on
                 a part of that field.
-            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to.
+            InterfaceError: Γ1 is prescribed on whole facets that Γ0 is to be tied to, and no
+                multiplier is left there.
         """
         self._spaces = list(spaces)
         self._ties = list(ties)

@@ -119,7 +119,8 @@ class NonlinearSystem(TiedSystem):
             ValueError: Different numbers of forms and functions; a residual that isn't linear in a
                 test function or doesn't depend on its body's function; a tie or boundary condition
                 on a space of no body.
-            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move, and no
+                multiplier is left to tie it there.
         """
         wanted = "not a form with one test function; of an energy it is ufl.derivative(energy, u)."
         _check_ranks(F, 1, "residual", wanted)

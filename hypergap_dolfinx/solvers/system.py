@@ -89,7 +89,8 @@ class TiedSystem(collective.Owner):
 
         Raises:
             ValueError: A tie, coupling or condition on a space of no body; a tie given twice.
-            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move.
+            InterfaceError: Γ1 of a tie is prescribed on whole facets where Γ0 can move, and no
+                multiplier is left to tie it there.
         """
         self._a, self._u, self._pieces = list(a), list(u), pieces
         self._couplings, self._num_own = list(couplings), len(a) - len(couplings)

@@ -92,6 +92,18 @@ def test_all_of_one_side_is_prescribed():
         problem(bodies, ties, TIED, fixed, bending)
 
 
+def test_how_small_a_side_that_is_prescribed_may_be():
+    """With at most 32 nodes Γ1 keeps its multipliers; the docstring of Tie says so."""
+    for num in (31, 32):
+        bodies = blocks("P1", (num, 40))
+        ties, fixed = [tie(bodies, *TIED[::-1])], [(0, TOP, (0, 1))]
+        if num == 31:
+            problem(bodies, ties, TIED, fixed, linear)
+            continue
+        with pytest.raises(InterfaceError, match=r"66 displacements .* prescribed on whole facets"):
+            problem(bodies, ties, TIED, fixed, linear)
+
+
 @two_ranks(pieces=[2])
 @pytest.mark.parametrize("pieces", (1, 2))
 def test_between_leaves_sides_to_the_problem(pieces):
