@@ -192,7 +192,7 @@ def failure(
         bound: Largest residual of a direct solve, relative to the right-hand side.
 
     Returns:
-        A line with the KSP's reason and MUMPS's INFOG.
+        A line with the KSP's reason, if it failed by itself, and MUMPS's INFOG.
     """
     reason = ksp.getConvergedReason()
     residual = None
@@ -206,24 +206,26 @@ def failure(
         if residual <= bound * size:
             return None
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
-    message = f"the linear solve failed: KSP reason {reason} ({names.get(reason, 'unknown')})"
-    singular = residual is not None
+    # A reason > 0 says that the solve converged, which the residual contradicts
+    parts = [] if reason > 0 else [f"KSP reason {reason} ({names.get(reason, 'unknown')})"]
+    singular, why = residual is not None, ""
     pc = ksp.getPC()
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         factor = pc.getFactorMatrix()
         infog = factor.getMumpsInfog(1), factor.getMumpsInfog(2)
-        message += f", MUMPS INFOG(1) = {infog[0]}, INFOG(2) = {infog[1]}"
+        parts.append(f"MUMPS INFOG(1) = {infog[0]}, INFOG(2) = {infog[1]}")
         singular |= infog[0] == -10
         if infog[0] in (-8, -9, -11, -13, -14, -19):
-            message += "; out of memory: raise mat_mumps_icntl_14 or use more ranks"
+            why += "; out of memory: raise mat_mumps_icntl_14 or use more ranks"
     if residual is not None:
-        message += f", the residual is {residual:.1e} for a right-hand side of {size:.1e}"
+        parts.append(f"the residual is {residual:.1e} for a right-hand side of {size:.1e}")
     if singular:
-        message += (
-            "; the matrix is singular: is every body held, by boundary conditions or by a tie "
-            "to one that is, and is each constraint given once?"
+        why += (
+            "; the matrix is singular: a body isn't held, by boundary conditions or by a tie to "
+            "one that is, a constraint is given twice, or a form's quadrature degree is too low "
+            "for its element"
         )
-    return message + advice + "."
+    return f"the linear solve failed: {', '.join(parts)}{why}{advice}."
 
 
 def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:

@@ -268,6 +268,21 @@ def test_a_scalar_that_nothing_holds():
     TiedProblem([a], [zero * v * ufl.dx]).solve()
 
 
+@pytest.mark.ranks(2)
+def test_a_quadrature_degree_too_low():
+    """Each body is held, yet cells deform without a stress: the message knows that cause, too."""
+    bodies = blocks(cell="quadrilateral", degree=2)
+    _, L = forms(bodies)
+    a, dx = [], ufl.dx(metadata={"quadrature_degree": 1})
+    for body in bodies:
+        u, v = ufl.TrialFunction(body.V), ufl.TestFunction(body.V)
+        a.append(ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * dx)
+    bcs = [held(bodies[0], BOTTOM), held(bodies[1], TOP, (0.1, 0.0))]
+    p = TiedProblem(a, L, bcs=bcs, ties=[tie(bodies, *TIED)])
+    words = r"failed: (?!KSP)[^?]*singular: [^?]* quadrature degree is too low [^?]*\.$"
+    raises(SolveError, words, p.solve)
+
+
 @pytest.mark.ranks(2, pair=[((0, TOP), (1, TOP))])
 @pytest.mark.parametrize(
     "pair, match",

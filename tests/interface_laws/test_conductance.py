@@ -210,7 +210,7 @@ def test_nonlinear_and_nothing_conducts():
     below = fem.locate_dofs_topological(bodies[0].V, 1, bodies[0].facets(BOTTOM))
     bc = fem.dirichletbc(default_scalar_type((0, 0)), below, bodies[0].V)
     # It depends on round-off whether the factorisation notices
-    with raises(SolveError, "singular: (a body is free that would be held|is every body held)"):
+    with raises(SolveError, "singular: a body is(n't held| free that would be held)"):
         NonlinearTiedProblem(F, us, bcs=[bc], ties=[t]).solve()
 
 
