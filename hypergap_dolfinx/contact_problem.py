@@ -644,13 +644,13 @@ class ContactProblem(ContactSystem):
             if comm.rank == 0:
                 at = rows.sides[1].reference.x[[int(depth.argmax())]]
                 LOG.warning(
-                    f"contact {c}: both surfaces are prescribed around {spot(at)} (before "
-                    f"displacements), where they overlap by {depth.max():.3g}: no pressure can "
-                    "part them there; prescribe one of them only, or other displacements."
+                    f"contact {c}: both surfaces are prescribed around {spot(at)} of the meshes, "
+                    f"where they overlap by {depth.max():.3g}: no pressure can part them there; "
+                    "prescribe one of them only, or other displacements."
                 )
 
     def _warn_of_cells(self, comm):
-        """Warn, once for each body, of cells that are turned over as it slides far. Collective."""
+        """Warn, once for each body, of cells that its displacements turn over. Collective."""
         follow = zip(self._contacts, self._rows, strict=True)
         moved = {b for contact, rows in follow if contact.geometry.follows for b in rows.bodies}
         for b in sorted(moved & set(range(self._num_elastic))):
@@ -663,9 +663,10 @@ class ContactProblem(ContactSystem):
             self._told.add(("over", b))
             if comm.rank == 0:
                 LOG.warning(
-                    f"{self._names[b]}: cells are turned over at a corner, the first around "
-                    f"{spot(places[0][None])} (before displacements), where no point of the "
-                    "residual sees it: results there are wrong; refine, or round sharp corners."
+                    f"{self._names[b]}: the displacements turn cells over, the first around "
+                    f"{spot(places[0][None])} of its mesh, unseen by the residual: strains are 1 "
+                    "and more there, and results wrong; press less, take a law that resists "
+                    "compression (ln J), refine, or round sharp corners."
                 )
 
     def _turning(self) -> list[tuple[str, float, str]]:

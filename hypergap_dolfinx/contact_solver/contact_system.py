@@ -571,7 +571,7 @@ class ContactSystem(NonlinearSystem):
     # What a load step that fails says
 
     def _inverted(self) -> str:
-        """Message about cells that are turned over. Collective."""
+        """Message about cells that displacements turn over. Collective."""
         at = []
         assert self._free is not None
         left = self._of_displacements([b.array_r for b in self._b.getNestSubVecs()])
@@ -579,7 +579,7 @@ class ContactSystem(NonlinearSystem):
         for name, x, b in zip(self._names[elastic], self._free.places, left, strict=False):
             wrong = ~np.isfinite(b).reshape(x.shape).all(axis=1)
             if wrong.any():
-                at.append(f" of {name} around {spot(x[wrong][:1])} (before displacements)")
+                at.append(f" of {name} around {spot(x[wrong][:1])} of its mesh")
         where = next((part for parts in self._comm.allgather(at) for part in parts), None)
         if where is None:  # seen by points of the tangent only
             return "cells are inverted."
@@ -595,10 +595,11 @@ class ContactSystem(NonlinearSystem):
         k = int(np.abs(part).argmax()) if worst[c] else int(forces.argmax())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k % len(rows.g)]])
         gap = max(part.largest_gap for part in self._rows)
+        way_out = "; give contacts with friction an elastic_slip=, or friction from 0 on"
         return (
             f"no equilibrium is found: after {step} Newton steps forces are off by "
             f"{self._unbalanced:.2g}, gaps in contact by {gap:.2g}, "
-            f"and contact {c} changes most at {at}."
+            f"and contact {c} changes most at {at}{way_out * bool(self._frictional)}."
         )
 
     def _unsolved(self, found: Solution) -> str:
