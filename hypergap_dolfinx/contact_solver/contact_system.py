@@ -595,7 +595,7 @@ class ContactSystem(NonlinearSystem):
         k = int(np.abs(part).argmax()) if worst[c] else int(forces.argmax())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k % len(rows.g)]])
         gap = max(part.largest_gap for part in self._rows)
-        way_out = "; give contacts with friction an elastic_slip=, or friction from 0 on"
+        way_out = "; with friction, give elastic_slip=, or solve without friction first"
         return (
             f"no equilibrium is found: after {step} Newton steps forces are off by "
             f"{self._unbalanced:.2g}, gaps in contact by {gap:.2g}, "
@@ -613,7 +613,8 @@ class ContactSystem(NonlinearSystem):
                 f"the linearised contact problem has no solution: {self._strays.of(rows.bodies)}, "
                 "that nothing else holds, slides, tips or is drawn away; its load may be more than "
                 "friction can hold, or Γ1's facets there are too few to hold it: refine them, or "
-                "make that body Γ1."
+                "make that body Γ1; bodies that lie on each other find their places more easily "
+                "with no friction in the first load step."
             )
         if not self._num_free:
             return (
