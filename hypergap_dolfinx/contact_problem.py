@@ -366,7 +366,7 @@ class ContactProblem(ContactSystem):
             try:
                 if not self._last.in_contact:
                     ahead = self._ahead(load, before, since)
-                self._newton(ahead, damps=self._halvings > 0)
+                self._newton(ahead)
                 if passed := self._passed(since):
                     raise SolveError(passed)
                 self._accept(s)

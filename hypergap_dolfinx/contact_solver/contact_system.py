@@ -77,7 +77,9 @@ class ContactSystem(NonlinearSystem):
            residual isn't finite ───────────────→ the step is shortened, up to TRIALS times
            step turns back, with negative work ─→ it is taken backwards, up to PATIENCE times
            PATIENCE + 2 steps along one line ───→ it is taken to their limit
-           STEPS steps ─────────────────────────→ the load step fails
+           TRIALS steps, and forces along the
+           next are reversed by its end ────────→ it is shortened to where they vanish
+           STEPS steps, the last one of no use ─→ the load step fails
            it fails ────────────────────────────→ once more as the last one goes on; then halved
            no solution, PATIENCE times in a row → it fails: a body leaves
 
@@ -321,13 +323,12 @@ class ContactSystem(NonlinearSystem):
         """
         self._restore(start.towards(end, share))
 
-    def _newton(self, ahead: Sequence[npt.NDArray] | None = None, *, damps: bool = False) -> int:
+    def _newton(self, ahead: Sequence[npt.NDArray] | None = None) -> int:
         """Newton's iteration for the present values of the load. Collective.
 
         Args:
             ahead: Changes of this rank's unknowns with which the last load step goes on; None if
                 the load doesn't.
-            damps: True if steps in cycles are halved.
 
         Returns:
             The number of its steps.
@@ -350,11 +351,11 @@ class ContactSystem(NonlinearSystem):
             stress.start()
         self._reach = np.inf
         least = min(rows.closed for rows in self._rows)
-        continuation = Continuation(self._comm, least, damps=damps)
+        continuation = Continuation(self._comm, least)
         self._largest, self._largest_terms = 0.0, np.zeros(1)
         self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
-        share, step = 1.0, 0
+        share, step, last = 1.0, 0, np.inf
         while True:
             for rows in self._rows:
                 rows.update_geometry()
@@ -364,6 +365,10 @@ class ContactSystem(NonlinearSystem):
                 share *= SHORTENED
                 if way is None or abs(share) < SHORTENED**TRIALS:
                     raise SolveError(self._inverted())
+                self._go(*way, share)
+                continue
+            if way is not None and (part := continuation.shortened(self._left_of_bodies())) < 1:
+                share *= part
                 self._go(*way, share)
                 continue
             jump = self._jump()
@@ -382,7 +387,8 @@ class ContactSystem(NonlinearSystem):
                     self._check_held()
                     return step
                 polished = True
-            if step == STEPS:
+            converges, last = self._unbalanced < SHORTENED * last, self._unbalanced
+            if step >= STEPS and not converges:
                 raise SolveError(self._stalled(step))
             if step:
                 for stress in self._stresses:
@@ -395,7 +401,9 @@ class ContactSystem(NonlinearSystem):
             way, work = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            share = continuation.share(moves, work)
+            follows = self._comm.allreduce(any(part.any() for part in jump), MPI.LOR)
+            left = None if follows else self._left_of_bodies()
+            share = continuation.share(moves, work, left)
             if share != 1:
                 self._go(*way, share)
 
@@ -728,6 +736,10 @@ class ContactSystem(NonlinearSystem):
         """This rank's residual of bodies and ties with contact forces, and those by contact."""
         found = self._right()
         return found, [rows.subtract_forces(found, self._held) for rows in self._rows]
+
+    def _left_of_bodies(self) -> list[npt.NDArray]:
+        """This rank's residual of displacements, with contact forces."""
+        return self._of_displacements(self._forces_left()[0][: len(self._u)])
 
     def _right(self) -> list[npt.NDArray]:
         """This rank's residual of bodies and ties without the contacts' forces."""

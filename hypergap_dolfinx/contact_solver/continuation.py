@@ -14,9 +14,10 @@ the share α / (1 − r). So steps to and fro, as from a stiffness that changes 
 halved. Steps that creep on, as from stiffness added to a tangent that isn't positive, are
 lengthened.
 
-Around a kink steps can also go in cycles that aren't along one line. Then none of them is shorter
-than the shortest so far. Once that has failed, and the load step was halved for it, they are halved
-until one is shorter.
+Newton's method converges in a few steps, or its steps can go on without an end. So the first ones
+are taken whole, also where forces grow for a while, as in a snap-through. Afterwards there is a
+line search: a step d at whose end forces along it are reversed, dᵀR(u + d) ≥ −½ dᵀR(u) > 0, is
+shortened to where they vanish, by a secant. R has the step's own pressures.
 """
 
 from collections.abc import Sequence
@@ -26,37 +27,46 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import IN_LINE, OSCILLATES, PATIENCE, SHORTENED
+from hypergap_dolfinx.contact_solver.tolerances import (
+    IN_LINE,
+    OSCILLATES,
+    PATIENCE,
+    SHORTENED,
+    TRIALS,
+)
+
+Moves = Sequence[npt.NDArray[np.float64]]
 
 
 class Continuation:
     """Observer of Newton's iteration in one load step: decides on the lengths of steps."""
 
-    def __init__(self, comm: MPI.Comm, least: float, *, damps: bool = True):
+    def __init__(self, comm: MPI.Comm, least: float):
         """Start.
 
         Args:
             comm: Communicator of the bodies.
             least: Displacement treated as zero: shorter steps have no direction.
-            damps: True if steps in cycles are halved.
         """
         self._comm, self._num_back, self._square = comm, 0, 0.0
-        self._least, self._damps = least, damps
-        self._num_in_line, self._share = 0, 1.0
-        self._shortest, self._num_longer = np.inf, 0
-        self._last: Sequence[npt.NDArray[np.float64]] | None = None
+        self._least, self._along = least, 0.0
+        self._num_steps, self._num_in_line, self._share = 0, 0, 1.0
+        self._last: Moves | None = None
 
-    def share(self, moves: Sequence[npt.NDArray[np.float64]], work: float) -> float:
+    def share(self, moves: Moves, work: float, left: Moves | None = None) -> float:
         """Share of the step to take, negative if backwards. Collective.
 
         Args:
             moves: This rank's increments of each body's displacements.
             work: Second-order work of the step.
+            left: Residual of each body at the step's start, with its pressures; None if
+                :meth:`shortened` isn't to look at the step.
         """
         last = moves if self._last is None else self._last
-        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves)])
+        zero = [np.zeros_like(part) for part in moves] if left is None else left
+        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves, zero)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
-        (product, square), before = sums, self._square
+        (product, square, along), before = sums, self._square
         turned = product < OSCILLATES * before
         in_line = before > 0 and abs(product) > IN_LINE * np.sqrt(square * before)
         self._num_in_line = self._num_in_line + 1 if in_line else 0
@@ -64,18 +74,28 @@ class Continuation:
         share = 1.0
         if moves_on and turned and work < 0 and self._num_back < PATIENCE:
             share, self._num_back, self._num_in_line = -1.0, self._num_back + 1, 0
-            self._shortest = np.inf  # it leads elsewhere
         elif moves_on and self._num_in_line > PATIENCE:
             falls = 1 / self._share - product / before  # over a whole step
             share = min(1 / falls, self._share / SHORTENED) if falls > 0 else 1.0
-        elif moves_on and self._damps:
-            share = 0.5 ** self._cycles(square)
+        self._num_steps += 1
         self._last, self._square = [share * part for part in moves], share**2 * square
-        self._share = share
+        self._share, self._along = share, along if share == 1 else 0.0
         return share
 
-    def _cycles(self, square: float) -> int:
-        """Times that no step of several was shorter than all before, since one was."""
-        self._num_longer = 0 if square < self._shortest else self._num_longer + 1
-        self._shortest = min(square, self._shortest)
-        return self._num_longer // (PATIENCE + 1)
+    def shortened(self, left: Moves) -> float:
+        """Part of the last step to keep; 1 if the line search doesn't shorten it. Collective.
+
+        Args:
+            left: This rank's residual of each body at its end, with its pressures.
+        """
+        if self._num_steps <= TRIALS or self._along >= 0:
+            return 1.0
+        assert self._last is not None
+        along, start = self._comm.allreduce(sum(map(np.dot, self._last, left))), self._along
+        self._along = 0.0
+        if along <= OSCILLATES * start:
+            return 1.0
+        part = float(max(start / (start - along), SHORTENED))
+        self._last = [part * of for of in self._last]
+        self._share, self._square = part * self._share, part**2 * self._square
+        return part

@@ -362,24 +362,38 @@ def test_steps_in_line(slope):
 
 
 def test_steps_in_cycles(monkeypatch):
-    """Around kinks steps go in cycles that aren't along a line; halved ones end at the solution."""
+    """Around kinks steps can go in cycles; a line search after the first ones ends them."""
     n = np.array([[-0.6, 0.6], [-0.3, -0.7], [0.8, 0.5]])
     m = np.array([[-0.7, 1.1], [-1.4, -0.4], [1.4, -0.2]])
     limits, k = np.array([-0.41, -0.01, -0.4]), np.array([8.5, 16.9, 16.1])
     K = np.array([[1.0, -2.8], [2.8, 1.0]])
 
+    def force(x):
+        return K @ x + (k * np.maximum(n @ x - limits, 0)) @ m
+
     def after(num):
         x, continuation = np.array([2.0, 1.0]), Continuation(MPI.COMM_SELF, 1e-12)
         for _ in range(num):
-            beyond = n @ x - limits
-            F = K @ x + (k * np.maximum(beyond, 0)) @ m
-            step = -np.linalg.solve(K + (m.T * (k * (beyond > 0))) @ n, F)
-            x = x + continuation.share([step], 1.0) * step
-        return np.linalg.norm(F)
+            F = force(x)
+            step = -np.linalg.solve(K + (m.T * (k * (n @ x > limits))) @ n, F)
+            step *= continuation.share([step], 1.0, [F])
+            x = x + continuation.shortened([force(x + step)]) * step
+        return np.linalg.norm(force(x))
 
-    assert after(10) <= 1e-12
-    monkeypatch.setattr(Continuation, "_cycles", lambda self, square: 0)
+    assert after(8) <= 1e-12
+    monkeypatch.setattr(Continuation, "shortened", lambda self, left: 1.0)
     assert after(60) > 0.1
+
+
+def test_steps_that_converge_go_on(monkeypatch):
+    """A load step whose residual still falls isn't given up after STEPS Newton steps."""
+    found = []
+    for most in (contact_system.STEPS, 3):
+        monkeypatch.setattr(contact_system, "STEPS", most)
+        _, problem, go = rotating(2, friction=0.1)
+        go(0, 0.1, -0.1)
+        found.append((problem.iterations, problem.halvings))
+    assert found[0] == found[1] and found[0][0] > 3
 
 
 def test_slides_off():
