@@ -377,8 +377,6 @@ class ContactSystem(NonlinearSystem):
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
                 rows.start_set(stiffness, zero)
-            if self._num_free:
-                self._hold()
             is_balanced = self._balances() or self._balances_between()
             self._record(step)
             self._interrupts.check()
@@ -390,6 +388,8 @@ class ContactSystem(NonlinearSystem):
             converges, last = self._unbalanced < SHORTENED * last, self._unbalanced
             if step >= STEPS and not converges:
                 raise SolveError(self._stalled(step))
+            if self._num_free:
+                self._hold()
             if step:
                 for stress in self._stresses:
                     stress.update()
