@@ -686,7 +686,7 @@ class ContactSystem(NonlinearSystem):
         frictional = [(rows, part) for rows, part in pairs if isinstance(rows, FrictionRows)]
 
         def across():
-            rows_across = [rows.holds_across(part)[rows.stuck] for rows, part in frictional]
+            rows_across = [rows.resists(part) for rows, part in frictional]
             rows_across.append(self._springs(modes))
             return np.vstack([p.reshape(-1, self._num_free) for p in (holds[:0], *rows_across)])
 

@@ -176,6 +176,17 @@ class FrictionRows(ContactRows):
         self.state.sticks, self.state.way = np.zeros_like(self.state.sticks), 0 * self.state.way
         return stuck
 
+    def resists(self, moves: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Slips by motions that the equations resist, over areas, ``(n - 1, ..., num)``.
+
+        These are slips of what sticks, and slips across the tractions of what slips under pressure.
+        """
+        rows, now = self.holds_across(moves), self.state
+        along = np.einsum("ka,akm->am", now.way, rows)
+        rows -= np.where(now.sticks, 0, now.way).T[:, :, None] * along[:, None]
+        bound, _ = self._bounds(now.p)
+        return rows[now.active & (now.sticks | (bound > 0))]
+
     def holds_across(self, moves: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
         rows = self.T.products(moves, (self._n - 1) * len(self.g))
