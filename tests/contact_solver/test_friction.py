@@ -229,6 +229,39 @@ def test_squeezed_by_plates():
     assert np.abs(below + above).max() <= 1e-9 * np.abs(below).max()
 
 
+@two_ranks()
+def test_held_by_jaws():
+    """A cube between two jaws that users move: on each all vertices slip outwards but the middle.
+
+    That one doesn't hold the turn around the normal; what slips does, across its slip.
+    """
+    parts = []
+    for n, low, high in ((2, 0, 0.5), (3, 0.5, 0.8), (3, -0.3, 0)):
+
+        def place(x, n=n, low=low, high=high):
+            return (x - (0.5, 0.5, 0)) * (n / 2, n / 2, high - low) + (0, 0, low)
+
+        mesh, tags = meshes.block(comm, (n, n, 2), place, cell="hexahedron")
+        parts.append((fem.functionspace(mesh, ("Lagrange", 1, (3,))), tags))
+    (V, tags), *others = parts
+    body, jaws = Elastic.on(V, large=True), [fem.Function(W) for W, _ in others]
+    contacts = [
+        Contact((W, of_jaw.find(jaw)), (V, tags.find(face)), friction=0.2)
+        for (W, of_jaw), jaw, face in zip(
+            others, (meshes.BACK, meshes.FRONT), (meshes.FRONT, meshes.BACK), strict=True
+        )
+    ]
+    problem = ContactProblem([None, None, body.F], [*jaws, body.u], contacts=contacts)
+    for x, num in ((0.0, 1), (0.03, 0)):
+        for one, sign in zip(jaws, (1, -1), strict=True):
+            one.interpolate(lambda y, s=sign: np.outer((s * x, 0, -s * 0.02), np.ones(y.shape[1])))
+        problem.solve()
+        assert problem.iterations <= 8 and problem.halvings == 0  # no equilibrium, before
+        assert [int(one.rows.stuck.sum()) for one in contacts] == [num, num]
+    below, above = (one.force(problem, on=body.u) for one in contacts)
+    assert np.abs(below + above).max() <= 1e-7 * np.abs(below).max()
+
+
 def test_back_and_forth():
     """What is drawn along slips, then sticks when it turns back, then slips the other way."""
     contact, problem, go = rotating(2, friction=0.2)
