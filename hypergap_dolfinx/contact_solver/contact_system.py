@@ -377,6 +377,8 @@ class ContactSystem(NonlinearSystem):
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
                 rows.start_set(stiffness, zero)
+            if self._num_free and step == 0:
+                self._hold()  # else what nothing touches or loads would be accepted where it is
             is_balanced = self._balances() or self._balances_between()
             self._record(step)
             self._interrupts.check()
@@ -388,7 +390,7 @@ class ContactSystem(NonlinearSystem):
             converges, last = self._unbalanced < SHORTENED * last, self._unbalanced
             if step >= STEPS and not converges:
                 raise SolveError(self._stalled(step))
-            if self._num_free:
+            if self._num_free and step:
                 self._hold()
             if step:
                 for stress in self._stresses:
