@@ -522,7 +522,13 @@ class ContactSystem(NonlinearSystem):
         """Solution of the linearised problem from the present working sets. Collective."""
         guesses = self._tangent.guesses()
         while True:
-            found = self._falling_back(lambda: solve(guesses))
+            try:
+                found = self._falling_back(lambda: solve(guesses))
+            except SolveError:
+                # What slips in nearly one direction all but doesn't hold a body: then it sticks
+                if not self._num_free or not any([rows.stick() for rows in self._frictional]):
+                    raise
+                continue
             if not found.is_guess:
                 break
             guesses.take(sum(int(part.sum()) for part in found.changed))

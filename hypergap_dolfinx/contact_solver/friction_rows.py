@@ -166,9 +166,10 @@ class FrictionRows(ContactRows):
         """Mask of active multipliers that stick."""
         return self.state.active & self.state.sticks
 
-    def stick(self):
-        """Make all active multipliers stick where nothing else would hold a body."""
-        self.state.sticks = self.mu > 0
+    def stick(self) -> bool:
+        """Make all multipliers stick where nothing else would hold a body; true if one slipped."""
+        before, self.state.sticks = self.stuck, self.mu > 0
+        return bool((self.stuck & ~before).any())
 
     def slide(self) -> bool:
         """Make all multipliers of the working set slip, without traction; true if one stuck."""

@@ -264,6 +264,28 @@ def test_held_by_jaws(monkeypatch):
     assert np.abs(below + above).max() <= 1e-7 * np.abs(below).max()
 
 
+@two_ranks()
+def test_rests_on_a_slope():
+    """A soft cube under its weight on a slope that is half as steep as it slides on."""
+    parts, turn = [], np.eye(3)
+    turn[0, [0, 2]], turn[2, [0, 2]] = (np.cos(0.1), np.sin(0.1)), (-np.sin(0.1), np.cos(0.1))
+    for n, low, high in ((2, 0, 1), (3, -0.3, 0)):
+
+        def place(x, n=n, low=low, high=high):
+            return ((x - (0.5, 0.5, 0)) * (n - 1, n - 1, high - low) + (0, 0, low)) @ turn
+
+        mesh, tags = meshes.block(comm, (n, n, n), place, cell="hexahedron")
+        parts.append((fem.functionspace(mesh, ("Lagrange", 1, (3,))), tags))
+    (V, tags), (W, below) = parts
+    body = Elastic.on(V, (1.0, 1.0), large=True)
+    contact = Contact((W, below.find(meshes.FRONT)), (V, tags.find(meshes.BACK)), friction=0.2)
+    problem = ContactProblem([None, body.F], [fem.Function(W), body.u], contacts=[contact])
+    body.weight.value = 0.1
+    problem.solve()
+    assert problem.iterations <= 8 and problem.halvings == 0  # no equilibrium, before
+    assert np.abs(contact.force(problem) - (0, 0, 0.1)).max() <= 1e-8
+
+
 def test_back_and_forth():
     """What is drawn along slips, then sticks when it turns back, then slips the other way."""
     contact, problem, go = rotating(2, friction=0.2)
