@@ -35,6 +35,7 @@ from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.interface_laws.given_values import Settable, as_moduli, as_numbers
 from hypergap_dolfinx.mortar.fields import owned_values
 from hypergap_dolfinx.mortar.free_edges import ContactState, SurfacePressure
+from hypergap_dolfinx.surface.boundary import Places
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
@@ -193,6 +194,7 @@ class Contact(Settable):
             depth=BEHIND_BODY * thickness,
             gives=self._compliance is not None or bool(limited),
         )
+        self._places = tuple(Places(V.mesh, f) for V, f in zip(self._spaces, self._facets))
         for doubt in self._doubts(below, above):
             if comm.rank == 0:
                 LOG.warning(doubt)
@@ -294,6 +296,10 @@ class Contact(Settable):
     def facets(self) -> tuple[npt.NDArray, npt.NDArray]:
         """This rank's facets on Γ0 and on Γ1."""
         return self._facets
+
+    def moved(self) -> float:
+        """Largest distance of this rank's nodes on both sides from where they were when made."""
+        return max(places.moved() for places in self._places)
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:

@@ -342,6 +342,7 @@ class ContactProblem(ContactSystem):
 
     def _solve_step(self):
         """Solve one load step, halved where necessary. Collective."""
+        self._warn_of_moved(self._contacts)
         self._path.start_step()
         finite = all(np.isfinite(u.x.array).all() for u in self._u)
         wrong = self._path.wrong or (None if finite else "a displacement at the start, in u,")

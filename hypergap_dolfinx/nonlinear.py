@@ -176,6 +176,7 @@ class NonlinearTiedProblem(NonlinearSystem):
 
     def _solve_step(self):
         """Solve for the present values. Collective."""
+        self._warn_of_moved()
         self._read_couplings()
         self._check_prescribed()
         for u, x in zip(self._u, self._x.getNestSubVecs()):

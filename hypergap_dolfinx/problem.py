@@ -163,6 +163,7 @@ class TiedProblem(TiedSystem):
 
     def assemble_matrix(self):
         """Assemble stiffness, springs and compliances into A. Collective."""
+        self._warn_of_moved()
         self._read_couplings(linear=True)
         super().assemble_matrix()
 

@@ -32,6 +32,7 @@ from hypergap_dolfinx.mortar.domain import GapDomain, create_gap_domain, doubts
 from hypergap_dolfinx.mortar.recovery import Recovery
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
 from hypergap_dolfinx.surface import carried
+from hypergap_dolfinx.surface.boundary import Places
 from hypergap_dolfinx.surface.carried import Motion
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import MovingSurface
@@ -248,6 +249,7 @@ class Tie(Settable, collective.Owner):
                 LOG.warning(doubt)
         if adjust:
             move()
+        self._places = tuple(Places(V.mesh, f) for V, f in zip(self._spaces, self._facets))
         self._blocks: tuple[PETSc.Mat, ...] = ()
         self._own_blocks: tuple[PETSc.Mat, ...] = ()
         self._jump = jump if jump is None or isinstance(jump, Jump) else Jump(jump)
@@ -466,6 +468,10 @@ class Tie(Settable, collective.Owner):
     def block_size(self) -> int:
         """Number of components of the displacement."""
         return self._spaces[0].dofmap.index_map_bs
+
+    def moved(self) -> float:
+        """Largest distance of this rank's nodes on both sides from where they were when made."""
+        return max(places.moved() for places in self._places)
 
     @property
     def surfaces(self) -> tuple[Surface, Surface]:

@@ -50,6 +50,9 @@ class Interface(Protocol):
     def surfaces(self) -> tuple[Surface, Surface]:
         """Γ0 and Γ1, where they are on the bodies."""
 
+    def moved(self) -> float:
+        """Largest distance of this rank's nodes on both sides from where they were when made."""
+
     @property
     def block_size(self) -> int:
         """Number of components of the displacement."""

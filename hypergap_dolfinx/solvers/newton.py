@@ -3,7 +3,7 @@
 """Residual and tangent of nonlinear tied bodies, assembled when their data change."""
 
 import logging
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -155,7 +155,6 @@ class NonlinearSystem(TiedSystem):
         self._depends = [Dependence(*of) for of in zip(J, self._a, u, strict=True)]
         self._slack = 0.0  # displacements that change no stiffness to speak of
         self._checkpoint: Checkpoint | None = None
-        self._told = set[Hashable]()  # what is said only once
         self._known: list[int | None] = [None] * len(self._a)  # states of K, assembled
         self._forces: list[float] = []  # in each body, of the last residual
         # Not u.x.petsc_vec: that goes when Python collects u, on each rank at its own time, and

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The saddle-point system of tied bodies, shared by linear and nonlinear problems."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Hashable, Sequence
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -22,7 +24,10 @@ from hypergap_dolfinx.multipliers.interface import Interface, TiedInterfaces
 from hypergap_dolfinx.solvers.solver import Solver, System
 from hypergap_dolfinx.solvers.tolerances import UNKNOWN
 from hypergap_dolfinx.surface.component import lagrange_components
+from hypergap_dolfinx.surface.tolerances import FILE_DIGITS
 from hypergap_dolfinx.surface.trace import is_mixed
+
+LOG = logging.getLogger("hypergap_dolfinx")
 
 
 def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
@@ -96,6 +101,7 @@ class TiedSystem(collective.Owner):
         self._couplings, self._num_own = list(couplings), len(a) - len(couplings)
         ties = pieces.ties
         self._solved = False
+        self._told = set[Hashable]()  # what is said only once
         self._motions_known = self._constants_known = False
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
@@ -292,6 +298,26 @@ class TiedSystem(collective.Owner):
         multipliers = parts[len(parts) - len(self._couplings) :]
         for (rows, i, _), part in zip(self._constraints.coupled, multipliers, strict=True):
             rows.take(parts[i].array_r, part.array_r, linear=linear)
+
+    def _warn_of_moved(self, contacts: Sequence[Interface] = ()):
+        """Warn, once for each tie and contact, of nodes moved since it was made. Collective."""
+        comm = self._u[0].function_space.mesh.comm
+        ties = [(f"tie {t}", tie) for t, tie in enumerate(self._pieces.ties)]
+        every = ties + [(f"contact {c}", one) for c, one in enumerate(contacts)]
+        far = np.array([one.moved() for _, one in every])
+        comm.Allreduce(MPI.IN_PLACE, far, MPI.MAX)
+        for (name, one), distance in zip(every, far, strict=True):
+            size = min(surface.size.min() for surface in one.surfaces)
+            if distance <= FILE_DIGITS * size or ("moved", name) in self._told:
+                continue
+            self._told.add(("moved", name))
+            if comm.rank == 0:
+                LOG.warning(
+                    f"{checks.name_of_tie(name, one)}: nodes of its surfaces were moved by up to "
+                    f"{distance:.3g} after it was made, and it still is that of their old places: "
+                    "results are wrong unless both sides were moved together. Make it and the "
+                    "problem anew after meshes were moved, also by a tie with adjust=True."
+                )
 
     def _check_usable(self):
         """Raise if the problem was destroyed."""

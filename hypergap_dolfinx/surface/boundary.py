@@ -20,7 +20,7 @@ from hypergap_dolfinx.surface.tolerances import (
     FILE_DIGITS,
     GOES_ON,
 )
-from hypergap_dolfinx.surface.trace import unit_normals
+from hypergap_dolfinx.surface.trace import lengths, unit_normals
 
 # A facet that is a quadrilateral, as two triangles; its vertices as DOLFINx orders them
 _SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
@@ -52,6 +52,21 @@ class ExteriorFacets:
         """Exterior facets of all ranks."""
         names = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(f, name) for f in every]) for name in names))
+
+
+class Places:
+    """Places of the nodes of facets, to tell if a user moves them later."""
+
+    def __init__(self, mesh: Mesh, facets: npt.NDArray[np.integer]):
+        """Keep the places of this rank's nodes."""
+        every = np.asarray(facets, dtype=np.int32)
+        nodes = compat.entities_to_geometry(mesh, mesh.geometry.dim - 1, every)
+        self._nodes, self._geometry = np.unique(nodes), mesh.geometry
+        self._x = mesh.geometry.x[self._nodes]
+
+    def moved(self) -> float:
+        """Largest distance of a node on this rank from where it was."""
+        return float(lengths(self._geometry.x[self._nodes] - self._x).max(initial=0))
 
 
 @dataclass(frozen=True)

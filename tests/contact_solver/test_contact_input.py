@@ -110,6 +110,16 @@ def test_out_of_reach(caplog):
 
 
 @pytest.mark.ranks(2)
+def test_nodes_moved_after_the_contact_was_made(caplog):
+    scene = two()
+    problem = scene.problem([Contact(*faces(scene))])
+    scene.u[1].function_space.mesh.geometry.x[:, 1] += 0.1
+    problem.solve()
+    told = [line for line in caplog.messages if "were moved by up to 0.1 after" in line]
+    assert len(told) == (comm.rank == 0)
+
+
+@pytest.mark.ranks(2)
 def test_given_twice():
     scene = two()
     side0, side1 = faces(scene)

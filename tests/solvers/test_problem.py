@@ -226,6 +226,24 @@ def test_an_interface_tied_twice():
 
 
 @pytest.mark.ranks
+def test_nodes_moved_after_the_tie_was_made(caplog):
+    """A mesh that is moved leaves its ties behind: that is told, once."""
+    V, a, L, bcs, tie = two_blocks()
+    problem = TiedProblem(a, L, bcs=bcs, ties=[tie])
+    x = V[1].mesh.geometry.x
+    problem.solve()
+    x[:, 0] += 0.3
+    x[:, 0] -= 0.3  # off by round-off
+    problem.solve()
+    assert not caplog.messages
+    x[x[:, 0] < 0.3, 0] += 0.01
+    problem.solve()
+    problem.solve()
+    told = [line for line in caplog.messages if "were moved by up to 0.01 after" in line]
+    assert len(told) == (comm.rank == 0)
+
+
+@pytest.mark.ranks
 def test_ranks_may_forget_problems_in_any_order():
     """Destruction is collective in PETSc, garbage collection is not."""
     _, a, L, bcs, tie = two_blocks()
