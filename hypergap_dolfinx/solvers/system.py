@@ -315,7 +315,7 @@ class TiedSystem(collective.Owner):
                 LOG.warning(
                     f"{checks.name_of_tie(name, one)}: nodes of its surfaces were moved by up to "
                     f"{distance:.3g} after it was made, and it still is that of their old places: "
-                    "results are wrong unless both sides were moved together. Make it and the "
+                    "gaps are wrong by that unless both sides were moved together. Make it and the "
                     "problem anew after meshes were moved, also by a tie with adjust=True."
                 )
 
