@@ -367,7 +367,7 @@ class ContactSystem(NonlinearSystem):
                     raise SolveError(self._inverted())
                 self._go(*way, share)
                 continue
-            if way is not None and (part := continuation.shortened(self._left_of_bodies())) < 1:
+            if way is not None and (part := continuation.shortened(self._left_of_bodies)) < 1:
                 share *= part
                 self._go(*way, share)
                 continue
@@ -403,9 +403,7 @@ class ContactSystem(NonlinearSystem):
             way, work = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            follows = self._comm.allreduce(any(part.any() for part in jump), MPI.LOR)
-            left = None if follows else self._left_of_bodies()
-            share = continuation.share(moves, work, left)
+            share = continuation.share(moves, work, self._left_of_bodies if jump is None else None)
             if share != 1:
                 self._go(*way, share)
 
@@ -468,12 +466,12 @@ class ContactSystem(NonlinearSystem):
         return bool(np.isfinite(self._comm.allreduce(norms)))
 
     def _step(
-        self, jump: Sequence[npt.NDArray[np.float64]], stiffness: float
+        self, jump: Sequence[npt.NDArray[np.float64]] | None, stiffness: float
     ) -> tuple[tuple[SystemState, SystemState], float]:
         """Solve the linearised contact problem, and take its solution. Collective.
 
         Args:
-            jump: Increments that prescribed displacements have to make.
+            jump: Increments that prescribed displacements have to make; None without any.
             stiffness: Stiffness of the bodies' nodes, as the working sets were chosen with.
 
         Returns:
@@ -482,14 +480,13 @@ class ContactSystem(NonlinearSystem):
         """
         start = self._state()
         last = [(rows.state.p, rows.clearance) for rows in self._rows]
-        moves = self._comm.allreduce(any([part.any() for part in jump]), MPI.LOR)
         parts = self._x.getNestSubVecs()
         num_tied = sum(part.getSize() for part in parts[len(parts) - self._num_ties :])
         num_tied += sum(field.num_others for field in self._fields)  # pressures, as a rule
         nearness = self._nearness if self._num_free else None
 
         def solve(guesses: active_set.Guesses) -> Solution:
-            equations = [rows.equations(jump if moves else None) for rows in self._rows]
+            equations = [rows.equations(jump) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
             return problem.solve(
                 self._right(), num_tied, self._fixed, nearness, guesses, self._reach
@@ -670,12 +667,13 @@ class ContactSystem(NonlinearSystem):
             float(np.abs(state.p[state.active]).max(initial=0)) for state in states
         )
 
-    def _jump(self) -> list[npt.NDArray[np.float64]]:
-        """Increments that prescribed displacements still have to make, of the owned dofs."""
-        return [
+    def _jump(self) -> list[npt.NDArray[np.float64]] | None:
+        """Increments of owned dofs that are still prescribed; None without any. Collective."""
+        found = [
             np.where(held, wanted[: len(held)] - u.x.array[: len(held)], 0)
             for u, wanted, held in zip(self._u, self._goal, self._held, strict=True)
         ]
+        return found if self._comm.allreduce(any([part.any() for part in found]), MPI.LOR) else None
 
     def _hold(self):
         """Enlarge active sets until they hold, unless those that held before act. Collective."""
@@ -856,9 +854,8 @@ class ContactSystem(NonlinearSystem):
         """
         jump = self._jump()
         assert self._free is not None
-        moves = self._comm.allreduce(any(part.any() for part in jump), MPI.LOR)
         pushes = any(rows.state.p.any() for rows in self._rows)
-        if self._tied or self._points or self._num_free or not (moves and pushes):
+        if self._tied or self._points or self._num_free or jump is None or not pushes:
             return
         now, ways, held = map(self._of_displacements, (self._owned(), jump, self._held))
         motions = prescribed_motions(self._comm, self._free.places, now, ways, held)

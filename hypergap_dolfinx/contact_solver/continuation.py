@@ -20,7 +20,7 @@ line search: a step d at whose end forces along it are reversed, dáµ€R(u + d) â‰
 shortened to where they vanish, by a secant. R has the step's own pressures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
@@ -53,18 +53,19 @@ class Continuation:
         self._num_steps, self._num_in_line, self._share = 0, 0, 1.0
         self._last: Moves | None = None
 
-    def share(self, moves: Moves, work: float, left: Moves | None = None) -> float:
+    def share(self, moves: Moves, work: float, forces: Callable[[], Moves] | None = None) -> float:
         """Share of the step to take, negative if backwards. Collective.
 
         Args:
             moves: This rank's increments of each body's displacements.
             work: Second-order work of the step.
-            left: Residual of each body at the step's start, with its pressures; None if
-                :meth:`shortened` isn't to look at the step.
+            forces: Gives this rank's residual of each body at the step's start, with its pressures;
+                None if :meth:`shortened` isn't to look at the step.
         """
         last = moves if self._last is None else self._last
-        zero = [np.zeros_like(part) for part in moves] if left is None else left
-        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves, zero)])
+        self._num_steps += 1
+        left = forces() if forces and self._num_steps > TRIALS else ()
+        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves, left)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         (product, square, along), before = sums, self._square
         turned = product < OSCILLATES * before
@@ -77,21 +78,20 @@ class Continuation:
         elif moves_on and self._num_in_line > PATIENCE:
             falls = 1 / self._share - product / before  # over a whole step
             share = min(1 / falls, self._share / SHORTENED) if falls > 0 else 1.0
-        self._num_steps += 1
         self._last, self._square = [share * part for part in moves], share**2 * square
         self._share, self._along = share, along if share == 1 else 0.0
         return share
 
-    def shortened(self, left: Moves) -> float:
+    def shortened(self, forces: Callable[[], Moves]) -> float:
         """Part of the last step to keep; 1 if the line search doesn't shorten it. Collective.
 
         Args:
-            left: This rank's residual of each body at its end, with its pressures.
+            forces: Gives this rank's residual of each body at its end, with its pressures.
         """
-        if self._num_steps <= TRIALS or self._along >= 0:
+        if self._along >= 0:
             return 1.0
         assert self._last is not None
-        along, start = self._comm.allreduce(sum(map(np.dot, self._last, left))), self._along
+        along, start = self._comm.allreduce(sum(map(np.dot, self._last, forces()))), self._along
         self._along = 0.0
         if along <= OSCILLATES * start:
             return 1.0

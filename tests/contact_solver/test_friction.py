@@ -433,12 +433,12 @@ def test_steps_in_cycles(monkeypatch):
         for _ in range(num):
             F = force(x)
             step = -np.linalg.solve(K + (m.T * (k * (n @ x > limits))) @ n, F)
-            step *= continuation.share([step], 1.0, [F])
-            x = x + continuation.shortened([force(x + step)]) * step
+            step *= continuation.share([step], 1.0, lambda F=F: [F])
+            x = x + continuation.shortened(lambda x=x + step: [force(x)]) * step
         return np.linalg.norm(force(x))
 
     assert after(8) <= 1e-12
-    monkeypatch.setattr(Continuation, "shortened", lambda self, left: 1.0)
+    monkeypatch.setattr(Continuation, "shortened", lambda self, forces: 1.0)
     assert after(60) > 0.1
 
 
