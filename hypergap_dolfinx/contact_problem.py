@@ -333,8 +333,8 @@ class ContactProblem(ContactSystem):
             self._records.end(self._summary(), halvings=self._halvings)
             if self._num_steps == 1:
                 self._warn_of_reach(self._comm)
-            self._warn_of_distance(self._comm)
-            self._warn_of_prescribed(self._comm)
+            self._warn_of_distance()
+            self._warn_of_prescribed()
             self._warn_of_cells(self._comm)
             self._warn_of_turns()
             self._interrupts.check()
@@ -606,7 +606,7 @@ class ContactProblem(ContactSystem):
                     "gmsh.model.mesh.setOrder(2)), or take facets as long on both sides."
                 )
 
-    def _warn_of_distance(self, comm):
+    def _warn_of_distance(self):
         """Warn, once for each contact, of what means of gaps don't see."""
         kinds = (
             (FAR_PRESSURE, "a pressure acts on surfaces up to {:.1f} facets apart"),
@@ -624,15 +624,14 @@ class ContactProblem(ContactSystem):
                 bound, words = kinds[k]
                 if k not in left or size <= bound:
                     continue
-                self._told.add(("far", c, k))
-                if comm.rank == 0:
-                    LOG.warning(
-                        f"contact {c}: at {spot(at[None])} {words.format(size)}: a gap is the mean "
-                        "over the facets of Γ1 at a vertex, and these are too coarse for a corner "
-                        "or step there; refine them."
-                    )
+                self._warn_once(
+                    ("far", c, k),
+                    f"contact {c}: at {spot(at[None])} {words.format(size)}: a gap is the mean "
+                    "over the facets of Γ1 at a vertex, and these are too coarse for a corner "
+                    "or step there; refine them.",
+                )
 
-    def _warn_of_prescribed(self, comm):
+    def _warn_of_prescribed(self):
         """Warn, once for each contact, of overlaps where both sides are prescribed."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             fixed = (rows.m > 0) & ~rows.valid
@@ -641,14 +640,13 @@ class ContactProblem(ContactSystem):
                 continue
             if depth.max() <= 2 * gap_of_chords(*contact.geometry.surfaces):
                 continue
-            self._told.add(("fixed", c))
-            if comm.rank == 0:
-                at = rows.sides[1].reference.x[[int(depth.argmax())]]
-                LOG.warning(
-                    f"contact {c}: both surfaces are prescribed around {spot(at)} of the meshes, "
-                    f"where they overlap by {depth.max():.3g}: no pressure can part them there; "
-                    "prescribe one of them only, or other displacements."
-                )
+            at = rows.sides[1].reference.x[[int(depth.argmax())]]
+            self._warn_once(
+                ("fixed", c),
+                f"contact {c}: both surfaces are prescribed around {spot(at)} of the meshes, "
+                f"where they overlap by {depth.max():.3g}: no pressure can part them there; "
+                "prescribe one of them only, or other displacements.",
+            )
 
     def _warn_of_cells(self, comm):
         """Warn, once for each body, of cells that its displacements turn over. Collective."""
@@ -659,15 +657,13 @@ class ContactProblem(ContactSystem):
                 continue
             u = self._moving[b].own_function(self._u[b])
             places = [x for part in comm.allgather(turned_over(u)) for x in part]
-            if not places:
-                continue
-            self._told.add(("over", b))
-            if comm.rank == 0:
-                LOG.warning(
+            if places:
+                self._warn_once(
+                    ("over", b),
                     f"{self._names[b]}: the displacements turn cells over, the first around "
                     f"{spot(places[0][None])} of its mesh, unseen by the residual: strains are 1 "
                     "and more there, and results wrong; press less, take a law that resists "
-                    "compression (ln J), refine, or round sharp corners."
+                    "compression (ln J), refine, or round sharp corners.",
                 )
 
     def _turning(self) -> list[tuple[str, float, str]]:

@@ -303,11 +303,9 @@ class NonlinearSystem(TiedSystem):
     def _warn_of_turns(self):
         """Warn, once for each interface, of directions that don't turn with it. Collective."""
         for name, turn, words in self._turning():
-            if name in self._told or turn <= TURNED:
-                continue
-            self._told.add(name)
-            if self._u[0].function_space.mesh.comm.rank == 0:
-                LOG.warning(f"{name}: its surfaces have turned by {np.degrees(turn):.2g}° {words}")
+            if turn > TURNED:
+                text = f"{name}: its surfaces have turned by {np.degrees(turn):.2g}° {words}"
+                self._warn_once(name, text)
 
     def _turning(self) -> list[tuple[str, float, str]]:
         """Interfaces with directions of the meshes: names, turns, advice. Collective."""

@@ -308,16 +308,21 @@ class TiedSystem(collective.Owner):
         comm.Allreduce(MPI.IN_PLACE, far, MPI.MAX)
         for (name, one), distance in zip(every, far, strict=True):
             size = min(surface.size.min() for surface in one.surfaces)
-            if distance <= FILE_DIGITS * size or ("moved", name) in self._told:
-                continue
-            self._told.add(("moved", name))
-            if comm.rank == 0:
-                LOG.warning(
+            if distance > FILE_DIGITS * size:
+                self._warn_once(
+                    ("moved", name),
                     f"{checks.name_of_tie(name, one)}: nodes of its surfaces were moved by up to "
                     f"{distance:.3g} after it was made, and it still is that of their old places: "
                     "gaps are wrong by that unless both sides were moved together. Make it and the "
-                    "problem anew after meshes were moved, also by a tie with adjust=True."
+                    "problem anew after meshes were moved, also by a tie with adjust=True.",
                 )
+
+    def _warn_once(self, key: Hashable, message: str):
+        """Log a warning on one rank, unless it was logged with this key."""
+        told = key in self._told
+        self._told.add(key)
+        if not told and self._u[0].function_space.mesh.comm.rank == 0:
+            LOG.warning(message)
 
     def _check_usable(self):
         """Raise if the problem was destroyed."""
