@@ -685,7 +685,7 @@ class ContactProblem(ContactSystem):
                 x0, x1 = (spot(surface.x) for surface in contact.surfaces)
                 LOG.warning(
                     f"contact {c}: nothing of Γ1 (around {x1}) lies opposite Γ0 (around {x0}) yet; "
-                    "are these the right facets?"
+                    "are these the right facets, on the right sides of their bodies?"
                 )
 
 

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from hypergap_dolfinx.contact_geometry import rays
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.errors import NotFacingError
-from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.gap_mesh.tolerances import END
 from hypergap_dolfinx.surface.moving import Displacements, displaced
 from hypergap_dolfinx.surface.trace import Surface, lengths
@@ -96,9 +94,7 @@ class PlaneSegments(Segments):
         goes_on = [wall.end for wall in walls if wall.is_between(surfaces)]
         found = rays.cast(self._in_c, surfaces, goes_on, self._own)
         if not len(found.points):
-            if self._last is None and not self.itself:
-                mesh_strip(*surfaces)  # raises an error that says why
-            raise NotFacingError("Γ0 and Γ1 don't face each other: no normal of Γ1 meets Γ0.")
+            raise self._faces_nothing(u)
         return found
 
     @override

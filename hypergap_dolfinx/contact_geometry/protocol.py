@@ -13,8 +13,9 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.blending import Blended
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
-from hypergap_dolfinx.errors import SolveError
-from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse
+from hypergap_dolfinx.core.collective import spot
+from hypergap_dolfinx.errors import NotFacingError, SolveError
+from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced
 
 stuck = 1  # as in c/vectors.h
 
@@ -117,6 +118,14 @@ class Segments(ABC):
         Raises:
             NotFacingError: There is nothing.
         """
+
+    def _faces_nothing(self, u: Displacements) -> NotFacingError:
+        """The error to raise if no normal of Γ1 meets Γ0."""
+        below, above = displaced(self.sides, u)
+        return NotFacingError(
+            f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
+            "along its normals; check the tags: is one of them the wrong side of its body?"
+        )
 
     def gap(self, u: Displacements) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
         """The weighted gap.

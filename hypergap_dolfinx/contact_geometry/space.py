@@ -40,8 +40,6 @@ from hypergap_dolfinx.contact_geometry.opposite import (
 )
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
-from hypergap_dolfinx.core.collective import spot
-from hypergap_dolfinx.errors import NotFacingError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
 
 Floats = npt.NDArray[np.float64]
@@ -293,11 +291,7 @@ class SpaceSegments(Segments):
     def _find(self, u: Displacements) -> SpaceColumns:
         found = SpaceColumns.between(self.sides, u, self._own)
         if found is None or not len(found.shown[1]):
-            below, above = displaced(self.sides, u)
-            raise NotFacingError(
-                f"nothing of Γ1 (around {spot(above.x)}) lies opposite Γ0 (around {spot(below.x)}) "
-                "along its normals; check the tags."
-            )
+            raise self._faces_nothing(u)
         return found
 
     @override
