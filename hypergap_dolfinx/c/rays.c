@@ -549,7 +549,9 @@ static int see(Cast *cast, double xi, Point *point, Hit *hits)
   for (int k = num - 1; k >= 0 && hits[k].weight > 0; --k)
     last = hits[k].weight >= 1 ? k : last;
   num = last + 1;
-  cast->lost |= lost && (num == 0 || hits[num - 1].weight < 1);
+  // Pieces without a length, between vertices along one ray, add to derivatives at that kink alone
+  int has_length = point->places[1] - point->places[0] > TINY;
+  cast->lost |= lost && has_length && (num == 0 || hits[num - 1].weight < 1);
   for (int k = 0; k < num; ++k)
     full &= hits[k].weight >= 1;
   if (full || isnan(depth))

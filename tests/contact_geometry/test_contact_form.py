@@ -277,6 +277,22 @@ def test_too_many_sheets(num):
         PlaneSegments.between(two, u)
 
 
+def test_side_along_a_normal():
+    """The facets of a side along one ray, by round-off, aren't sheets one behind the other."""
+    leg, side, tip = [(0.0, -0.1)], [(0.1 * k, 0.0) for k in range(9)], [(0.8, 0.1)]
+    x0 = np.array(leg + side + tip + [(-0.5, 1.0)])
+    x1 = np.array([(0.85, 0.11), (0.85, -0.04), (1.5, 0.0)])
+    found = []
+    for turn in (0, 0.07, 0.15, 0.19):
+        turned = np.array([(np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn))])
+        below = outline_side(x0 @ turned, 1, "Γ0", lambda middles: np.arange(len(middles)) < 10)
+        above = outline_side(x1 @ turned, 1, "Γ1", lambda middles: np.arange(len(middles)) == 0)
+        u = tuple(np.zeros((len(each.dofs), 2)) for each in (below, above))
+        found.append(PlaneSegments.between((below, above), u).gap(u)[:2])
+    assert min(found[0][0]) > 0
+    close(found, [found[0]] * len(found))
+
+
 def jump(at, where, width):
     """Largest jump of gaps as a parameter passes a value.
 
