@@ -326,9 +326,10 @@ class _RootFit:
 
     def _continued(self, s: Floats) -> Floats:
         """Values of s with slopes that go on beyond the edge: from s = 0 no step finds its sign."""
-        jumps = self.jumps
+        jumps, size = self.jumps, self.mean**2
         left = np.bincount(jumps.i, jumps.values * s[jumps.j])
-        return s - self._least(jumps, left, self.free & ~self.state.active, 0.0)
+        scaled = replace(jumps, values=jumps.values * size[jumps.j])
+        return s - size * self._least(scaled, left, self.free & ~self.state.active, 0.0)
 
     def _least(self, J: Sparse, error: Floats, free: Mask, damping: float) -> Floats:
         """Solve for x with (JᵀJ + damping · its diagonal) x = Jᵀ error, on each rank by itself.
