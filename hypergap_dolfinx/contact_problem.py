@@ -610,7 +610,7 @@ class ContactProblem(ContactSystem):
         """Warn, once for each contact, of what means of gaps don't see."""
         kinds = (
             (FAR_PRESSURE, "a pressure acts on surfaces up to {:.1f} facets apart"),
-            (FAR_PRESSURE / 2, "surfaces overlap by {:.1f} facets"),
+            (FAR_PRESSURE / 2, "surfaces overlap by {:.1f} facets of the finer side"),
             (
                 LEANING,
                 "facets of Γ1 tilt towards a wall of Γ0 beside them, and the gap up to it, {:.2f} "
@@ -627,8 +627,8 @@ class ContactProblem(ContactSystem):
                 self._warn_once(
                     ("far", c, k),
                     f"contact {c}: at {spot(at[None])} {words.format(size)}: a gap is the mean "
-                    "over the facets of Γ1 at a vertex, and these are too coarse for a corner "
-                    "or step there; refine them.",
+                    "over the facets of Γ1 at a vertex, and these are too coarse for a corner, "
+                    "step or curve there; refine them, or take the finer side as Γ1.",
                 )
 
     def _warn_of_prescribed(self):

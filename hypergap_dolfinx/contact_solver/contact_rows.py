@@ -551,16 +551,21 @@ class ContactRows:
         the rest is far away. Third, the mean by force of gaps up to edges that lean.
 
         Args:
-            least: Length below which neither is searched for; all are in facet sizes of Γ1.
+            least: Length below which neither is searched for. Overlaps are in facet sizes of the
+                finer side, all else is in those of Γ1.
         """
         at = self.sides[1].displaced(self.u[1]).x
         if self.state.opening is None or not self._follows:
             return []
         facets, size = self.sides[1].reference.facets, np.zeros(len(at))
         np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
-        far, deep, leaning = self.state.opening.reaches(self.u, least * size)
+        finer = np.minimum(size, self.sides[0].reference.size.max(initial=0))
+        far, deep, leaning = self.state.opening.reaches(self.u, least * finer)
         p = self.spread(np.where(self.state.active, self.state.p, 0)).clip(min=0)
-        found = [part / np.where(size > 0, size, 1) for part in (np.where(p > 0, far, 0), deep)]
+        found = [
+            np.divide(part, of, out=np.zeros_like(part), where=of > 0)
+            for part, of in ((np.where(p > 0, far, 0), size), (deep, finer))
+        ]
         told = [(float(part.max(initial=0)), at[int(part.argmax())]) for part in found]
         pressed = float((p * self.m * size).sum())
         mean = float((p * leaning).sum()) / pressed if pressed else 0.0

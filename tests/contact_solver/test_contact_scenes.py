@@ -271,18 +271,22 @@ def test_walls_beside_coarse_facets(caplog):
 
 
 @pytest.mark.ranks(2)
-def test_overlap_of_a_corner(caplog):
-    """A ridge inside a facet, whose vertices have positive mean gaps: told without a pressure."""
+@pytest.mark.parametrize(("num", "down", "overlap"), ((16, 0.81, 1.4), (64, 0.16, 1.1)))
+def test_overlap_of_a_corner(num, down, overlap, caplog):
+    """A ridge inside a facet, whose vertices have positive mean gaps: told without a pressure.
+
+    With a finer ridge from a smaller overlap on: there is nothing where forces should be.
+    """
     places = (
         lambda x: np.column_stack((4 * x[:, 0] - 2, x[:, 1] * (5 - 2 * abs(4 * x[:, 0] - 2)) - 5)),
         lambda x: np.column_stack((3 * x[:, 0] - 1.5, x[:, 1] + 0.01)),
     )
     with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
-        contact, problem = lowered(places, ((16, 4), (3, 1)), 0.81)
+        contact, problem = lowered(places, ((num, 4), (3, 1)), down)
     assert not contact.active.any() and (problem.rows(contact).g > 0).all()
     told = [record.message for record in caplog.records if "overlap" in record.message]
     assert len(told) == (comm.rank == 0)
-    assert all("surfaces overlap by 0.8 facets" in message for message in told), told
+    assert all(f"surfaces overlap by {overlap} facets" in message for message in told), told
 
 
 @pytest.mark.ranks(2)
