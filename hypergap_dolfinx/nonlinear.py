@@ -232,6 +232,19 @@ class NonlinearTiedProblem(NonlinearSystem):
         for part in r.getNestSubVecs():
             part.set(np.nan)
 
+    def _jacobian(self, x: PETSc.Vec):
+        self._assign(x)
+        try:
+            self.assemble_matrix()
+        except ValueError as error:
+            step = self._snes.getIterationNumber()
+            if not step:
+                raise
+            raise SolveError(
+                f"Newton's iteration failed after {step} steps: {error} Displacements may have "
+                "turned cells over; smaller load steps may help."
+            ) from error
+
     def _record(self, step: int, norm: float):
         """Record a Newton step."""
         iterations = self._snes.getLinearSolveIterations()

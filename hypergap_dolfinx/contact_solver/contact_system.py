@@ -608,7 +608,7 @@ class ContactSystem(NonlinearSystem):
         k = int(np.abs(part).argmax()) if worst[c] else int(forces.argmax())
         at = spot(rows.sides[1].displaced(rows.u[1]).x[[k % len(rows.g)]])
         gap = max(part.largest_gap for part in self._rows)
-        way_out = "; with friction, give elastic_slip=, or solve without friction first"
+        way_out = "; with friction, give (larger) elastic_slip=, or solve without friction first"
         return (
             f"no equilibrium is found: after {step} Newton steps forces are off by "
             f"{self._unbalanced:.2g}, gaps in contact by {gap:.2g}, "

@@ -110,7 +110,7 @@ class Weighting:
     def key(self) -> tuple[Hashable, ...]:
         """Key that is equal for values that are and remain the same."""
         return self.name, *(
-            id(part) if given_values.is_read(part) else float(part)  # type: ignore[arg-type]
+            id(part) if given_values.is_read(part) else float(np.real(part))  # type: ignore[arg-type]
             for part in self._parts
         )
 
@@ -136,7 +136,10 @@ class Weighting:
             try:
                 given = self._on_surface(part, surface, dofs, x)
                 if np.any(np.imag(given)):
-                    raise ValueError(f"it has an imaginary part; a {self.name} is real.")
+                    raise ValueError(
+                        f"it has an imaginary part; a {self.name} is real: with a complex "
+                        "stiffness h take law=lambda jump, n: h * jump, in a NonlinearTiedProblem."
+                    )
                 nodal[:] = np.real(given)
             except Exception as e:
                 error = error or f"the {self.name} is no number on Γ1: {e}".splitlines()[0]

@@ -296,10 +296,6 @@ class NonlinearSystem(TiedSystem):
             super()._assemble(i)
         return changed
 
-    def _jacobian(self, x: PETSc.Vec):
-        self._assign(x)
-        self.assemble_matrix()
-
     def _warn_of_turns(self):
         """Warn, once for each interface, of directions that don't turn with it. Collective."""
         for name, turn, words in self._turning():

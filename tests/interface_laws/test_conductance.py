@@ -228,6 +228,6 @@ def test_bad_input():
             tie(bodies, *TIED, conductance=wrong)
     with raises(ValueError, "give a compliance or a conductance, not both"):
         tie(bodies, *TIED, compliance=1.0, conductance=1.0)
-    t = tie(bodies, *TIED, conductance=0.1)
+    t = tie(bodies, *TIED, conductance=0.1 + 0j)  # as PETSc's scalars may be
     with raises(ValueError, '"bodies" is not possible: a tie has a law or a conductance'):
         problem(bodies, [t], TIED, HELD, solver="bodies")

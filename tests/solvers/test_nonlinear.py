@@ -17,6 +17,7 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
+from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.solvers import choice
 
 comm = MPI.COMM_WORLD
@@ -141,6 +142,24 @@ def test_failure_is_an_error():
         problem.solve()
     problem, _ = problem_of(V, fts, tie, lambda u: energy(u) + u[0], (None, None))
     with pytest.raises(SolveError):
+        problem.solve()
+
+
+@two_ranks()
+def test_stiffness_that_is_no_number_later(monkeypatch):
+    """Cells turned over may be seen by the stiffness alone: smaller load steps may help."""
+    V, fts, tie = two_blocks()
+    problem, _ = problem_of(V, fts, tie, energy, (fixed, sheared))
+    check, seen = checks.check_finite, []
+
+    def check_later(K, what, spaces):
+        seen.append(K[0])
+        if len(seen) == 3:
+            K[0].scale(np.nan)
+        check(K, what, spaces)
+
+    monkeypatch.setattr(checks, "check_finite", check_later)
+    with pytest.raises(SolveError, match="after 1 steps: the stiffness of body 0 has NaN"):
         problem.solve()
 
 
