@@ -10,7 +10,7 @@ from hypergap_dolfinx.contact_solver.tolerances import PIVOT, TRIALS
 Array = npt.NDArray[np.float64]
 
 
-def solved(M: Array, b: Array, zero: Array) -> Array | None:
+def solved(M: Array, b: Array, zero: Array) -> tuple[Array, bool]:
     """Solve the problem, by block pivoting or, where that doesn't end, by Lemke's method.
 
     Args:
@@ -20,13 +20,14 @@ def solved(M: Array, b: Array, zero: Array) -> Array | None:
         zero: Sizes treated as zero, of z and w alike, ``(num,)``.
 
     Returns:
-        z; None if there is no solution (a ray).
+        z and True; without a solution a ray and False: z ≥ 0 of which multiples increase w nowhere
+        where z > 0, or zero if none was found.
     """
     size = np.sqrt(np.maximum(np.diag(M), 1))
     scaled = M / size / size[:, None], b / size, zero / size
     z = _by_blocks(*scaled)
-    z = _by_lemke(*scaled) if z is None else z
-    return None if z is None else z / size
+    z, is_solved = _by_lemke(*scaled) if z is None else (z, True)
+    return z / size, is_solved
 
 
 def _by_blocks(M: Array, b: Array, zero: Array) -> Array | None:
@@ -55,11 +56,11 @@ def _by_blocks(M: Array, b: Array, zero: Array) -> Array | None:
     return None
 
 
-def _by_lemke(M: Array, b: Array, zero: Array) -> Array | None:
-    """Lemke's method; None on a ray. It needs no regular matrices, but a pivot for each change."""
+def _by_lemke(M: Array, b: Array, zero: Array) -> tuple[Array, bool]:
+    """As :func:`solved`, by Lemke's method: no regular matrices, but a pivot for each change."""
     num = len(b)
     if (b >= -zero).all():
-        return np.zeros(num)
+        return np.zeros(num), True
     # Columns: w, z, the artificial variable, right-hand side
     table = np.hstack((np.eye(num), -M, -np.ones((num, 1)), b[:, None]))
     basis, enters, extra = np.arange(num), 2 * num, 2 * num
@@ -73,12 +74,14 @@ def _by_lemke(M: Array, b: Array, zero: Array) -> Array | None:
         if leaves == extra:
             z = np.zeros(2 * num + 1)
             z[basis] = table[:, -1]
-            return np.maximum(z[num : 2 * num], 0)
+            return np.maximum(z[num : 2 * num], 0), True
         enters = leaves + num if leaves < num else leaves - num
         column = table[:, enters]
         can = column > PIVOT * max(np.abs(column).max(), 1)
         if not can.any():
-            return None
+            ray = np.zeros(2 * num + 1)
+            ray[enters], ray[basis] = 1, -column
+            return np.maximum(ray[num : 2 * num], 0), False
         ratio = np.where(can, np.maximum(table[:, -1], 0) / np.where(can, column, 1), np.inf)
         ties = np.flatnonzero(ratio <= ratio.min() + zero.min())
         # What is artificial leaves first; else the lexicographically smallest row, against cycles
@@ -87,4 +90,4 @@ def _by_lemke(M: Array, b: Array, zero: Array) -> Array | None:
         else:
             rows = table[ties, :num] / column[ties, None]
             row = int(ties[np.lexsort(rows.T[::-1])[0]])
-    return None
+    return np.zeros(num), False

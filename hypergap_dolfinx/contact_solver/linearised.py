@@ -12,6 +12,10 @@ that its solution gives a wrong sign join, until there are none. The matrix of t
 problem is a principal pivot of C H⁻¹ Cᵀ. So the solution is unique if H is positive on
 displacements that keep the rows under pressure closed.
 
+If H is that with the rows of A closed, but not without those that open, the small problem may have
+no solution but a ray: a body turns, and nothing resists. The first row that gets a wrong sign along
+it joins. If there is none, the linearised problem has no solution.
+
 With friction a multiplier has n equations: one of the gap, the others of its slip, which sticks or
 slips. A multiplier with a wrong state gets n unknowns. The small problem then contains Coulomb's
 law, and is solved by Newton's method with a line search.
@@ -30,7 +34,7 @@ from hypergap_dolfinx.contact_solver.active_set import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent, NotPositive
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, SHORTENED, STEPS, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, PIVOT, SHORTENED, STEPS, TRIALS
 from hypergap_dolfinx.surface.moving import Sparse
 
 Array = npt.NDArray[np.float64]
@@ -121,7 +125,8 @@ class LinearisedContact:
         of guesses of the working set, too), or if the step is too long, which happens near a snap-
         through, where H is hardly positive. A matrix with more negative pivots than multipliers is
         accepted if H does positive work on the solution. Bodies that contact doesn't hold in the
-        linearised problem (a ray) get a share of the diagonal.
+        linearised problem (a ray along which no row joins) get a share of the diagonal. If a row
+        far away ends a ray, the step may be too long, and gets a share of the stiffness.
 
         Args:
             right: This rank's right-hand side of bodies and ties.
@@ -138,7 +143,7 @@ class LinearisedContact:
         stiff = near = 0.0
         for trial in range(TRIALS + 1):
             try:
-                found = self._solve(right, (stiff, near), guesses)
+                found = self._solve(right, num, (stiff, near), guesses)
             except NotPositive:
                 if trial == TRIALS:
                     raise
@@ -162,8 +167,15 @@ class LinearisedContact:
                 stiff = stiff / SHORTENED or ADDED
         return replace(found, leaves=near > 0)
 
-    def _solve(self, right, shift: tuple[float, float], guesses: Guesses) -> Solution:
-        """Solve it with shares of the stiffness without stress, and of its diagonal, added."""
+    def _solve(self, right, num: int, shift: tuple[float, float], guesses: Guesses) -> Solution:
+        """Solve it with shares of the stiffness without stress, and of its diagonal, added.
+
+        Args:
+            right: As in :meth:`solve`.
+            num: Number of multipliers in the matrix.
+            shift: Both shares.
+            guesses: As in :meth:`solve`.
+        """
         changes, y, f = self._base(right, shift)
         more = self._wrong(y, f)
         if not guesses.allow(len(more)) and self._tangent.improves(len(more)):
@@ -181,18 +193,32 @@ class LinearisedContact:
             A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
             z = np.append(z, np.zeros(len(more)))
             small = self._lcp if all(p.num_unknowns == len(p.g) for p in self._rows) else self._law
-            solution = small(y0, f0, A, B, of, z)
-            if solution is None:
+            found, is_solved = small(y0, f0, A, B, of, z)
+            if is_solved:
+                z = found
+                y, f = y0 + B @ z, f0 + A @ z
+                more = self._wrong(y, f)
+                more = more[~np.isin(more, of)]
+                continue
+            holds = (self._tangent.negative or 0) <= num  # H positive with A closed, or not known
+            more = self._first_along(y, f, B @ found, A @ found, of) if holds else more[:0]
+            if not len(more):
                 return self._found(changes, y0, f0, of, f0, solved=False)
-            z = solution
-            y, f = y0 + B @ z, f0 + A @ z
-            more = self._wrong(y, f)
-            more = more[~np.isin(more, of)]
         unknowns = np.zeros(len(y))
         unknowns[of] = z
         beside = np.bincount(loads.j, loads.values * unknowns[loads.i], self._tangent.num_local)
         changes, _, now = self._base(right, shift, beside=beside, anew=True)
         return self._found(changes, y, np.where(self._on, now, f), of, f0)
+
+    def _first_along(self, y, f, by_y, by_f, of) -> npt.NDArray[np.intp]:
+        """Number of the first row, not one of these, that gets a wrong sign along a ray, if any."""
+        now, slope = np.where(self._on, (f, by_f), (y, by_y))
+        largest = np.where(self._on, *(np.abs(by).max(initial=0) for by in (by_f, by_y)))
+        falls = np.concatenate([np.resize(p.valid, p.num_unknowns) for p in self._rows])
+        falls &= slope < -PIVOT * largest
+        falls[of] = False
+        rows = np.flatnonzero(falls)
+        return rows[np.argsort(np.maximum(now[rows], 0) / -slope[rows], kind="stable")[:1]]
 
     def _watched(self) -> list[Sparse]:
         """Gaps and multipliers by this rank's unknowns of the matrix, and right-hand sides."""
@@ -219,15 +245,15 @@ class LinearisedContact:
         give = np.concatenate([part.give() for part in self._rows])
         return by_f, by_y + give[:, None] * by_f
 
-    def _lcp(self, y0, f0, A, B, of, z) -> Array | None:
+    def _lcp(self, y0, f0, A, B, of, z) -> tuple[Array, bool]:
         """The unknowns without friction: pressures outside of the working set, slacks in it."""
         on = self._on[of]
         least = np.concatenate([np.resize(p.least(), p.num_unknowns) for p in self._rows])[of]
         M, b = np.where(on[:, None], A[of], B[of]), np.where(on, f0[of], y0[of])
         return complementarity.solved(M, b, least)
 
-    def _law(self, y0, f0, A, B, of, z) -> Array | None:
-        """The unknowns with friction.
+    def _law(self, y0, f0, A, B, of, z) -> tuple[Array, bool]:
+        """The unknowns with friction, zero and False if none are found.
 
         If Newton's method fails, it is repeated with a compliance of the rows that falls to zero.
         With a large one there is one solution, multipliers of zero. Gaps have the round-off of the
@@ -236,7 +262,7 @@ class LinearisedContact:
         y0, f0, A, B = y0[of], f0[of], A[of], B[of]
         found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
         if found is not None:
-            return found
+            return found, True
         z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=None)[0], -1.0, 1.0, 0
         while failures < TRIALS:
             share = give * SHORTENED**power if power < 2 * TRIALS else 0.0
@@ -248,8 +274,8 @@ class LinearisedContact:
             elif share:
                 z, power = found, power + step
             else:
-                return found
-        return None
+                return found, True
+        return np.zeros(len(of)), False
 
     def _newton(self, y0, f0, A, B, of, z, zero=1.0) -> Array | None:
         """Newton's method with a line search, and with full steps if that finds no descent.

@@ -37,7 +37,8 @@ def test_positive(num, solve):
     zero = np.full(num, 1e-12)
     for _ in range(20):
         M, b = pivoted(rng, num, num + 3), rng.normal(size=num)
-        z = solve(M, b, zero)
+        z, is_solved = solve(M, b, zero)
+        assert is_solved
         check(M, b, zero, z)
         on = z > 0
         np.testing.assert_allclose(z[on], np.linalg.solve(M[np.ix_(on, on)], -b[on]), atol=1e-7)
@@ -53,9 +54,9 @@ def test_semidefinite(num):
         # Half of them certainly have a solution
         feasible = rng.random(num) - M @ np.where(rng.random(num) < 0.5, rng.random(num), 0)
         b = rng.normal(size=num) if k % 2 else feasible
-        result = complementarity.solved(M, b, zero)
-        assert result is not None or k % 2
-        if result is not None:
+        result, is_solved = complementarity.solved(M, b, zero)
+        assert is_solved or k % 2
+        if is_solved:
             found += 1
             check(M, b, zero, result)
     assert found >= 20
@@ -66,16 +67,35 @@ def test_degenerate():
     M = np.array([[2.0, 1, 0], [1, 2, 0], [0, 0, 1]])
     zero = np.full(3, 1e-12)
     for b in ([0, 0, 0], [0, -1, 0], [-1, -1, 0], [-1, -0.5, 1]):
-        z = complementarity.solved(M, np.array(b, dtype=float), zero)
+        z, _ = complementarity.solved(M, np.array(b, dtype=float), zero)
         check(M, np.array(b), zero, z)
     twice = np.ones((2, 2))  # the same row twice
-    z = complementarity.solved(twice, np.array([-1.0, -1.0]), zero[:2])
+    z, _ = complementarity.solved(twice, np.array([-1.0, -1.0]), zero[:2])
     assert z.sum() == pytest.approx(1)
 
 
 def test_ray():
     """What nothing holds: pressures that can't balance a load."""
     M = np.array([[0.0, 1], [-1, 0]])
-    assert complementarity.solved(M, np.array([-1.0, -1.0]), np.full(2, 1e-12)) is None
-    z = complementarity.solved(M, np.array([-1.0, 2.0]), np.full(2, 1e-12))
+    ray, is_solved = complementarity.solved(M, np.array([-1.0, -1.0]), np.full(2, 1e-12))
+    assert not is_solved and ray.min() >= 0 < ray.max() and (M @ ray)[ray > 0].max() <= 0
+    z, _ = complementarity.solved(M, np.array([-1.0, 2.0]), np.full(2, 1e-12))
     np.testing.assert_allclose(z, [2, 1])
+
+
+@pytest.mark.parametrize("num", (1, 4, 12))
+def test_rays_of_indefinite_matrices(num):
+    """Multiples of them increase w nowhere where they aren't zero, whatever the rows' sizes are."""
+    rng, rays = np.random.default_rng(num), 0
+    for _ in range(40):
+        part = rng.normal(size=(num, num))
+        sizes = 10 ** rng.uniform(-2, 2, num)
+        M = sizes[:, None] * (part + part.T) * sizes
+        b = rng.normal(size=num) * sizes
+        ray, is_solved = complementarity.solved(M, b, 1e-12 * sizes)
+        if not is_solved:
+            rays += 1
+            assert ray.min() >= 0 < ray.max()
+            off = (M @ ray)[ray > 0] - 1e-9 * np.abs(M).max() * ray.max()
+            assert off.max() <= 0
+    assert rays >= 8

@@ -352,6 +352,41 @@ def test_egg_in_a_shell():
     assert problem.halvings == 0
 
 
+@pytest.mark.ranks(2, turn=[70])
+@pytest.mark.parametrize("turn, slopes, above", ((70, (42, 30), 0.0), (83, (60, 58), 0.01)))
+def test_box_turns_in_a_groove(turn, slopes, above):
+    """Where a vertex opens, the box turns until another one, not overlapping yet, hits the groove.
+
+    Of the vertices with wrong signs alone the small problem has no solution.
+    """
+    left, right = np.tan(np.radians(slopes))
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+
+    def groove(x):
+        a = 4 * x[:, 0] - 2
+        return np.column_stack((a, np.maximum(-left * a, right * a) + x[:, 1] - 1))
+
+    def box(x):
+        return (x - 0.5) * (1.4, 1) @ np.array([[c, s], [-s, c]])
+
+    def placed(x):
+        n = np.array(((left, 1), (-right, 1))) / np.hypot((left, right), 1)[:, None]
+        corners = box(np.array([[0, 0], [1, 0], [0, 1], [1, 1]]))
+        return box(x) + np.linalg.solve(n, above - (corners @ n.T).min(axis=0))
+
+    scene = Assembly(
+        [rectangle((8, 1), 0, 0, mapping=groove), rectangle((7, 5), 0, 0, mapping=placed)]
+    )
+    for component in range(2):
+        scene.hold(0, component, meshes.BOTTOM)
+    scene.weigh(1, 0.01)
+    contact = Contact(scene.side(0, meshes.TOP), (scene.bodies[1].V, scene.bodies[1].boundary))
+    problem = scene.problem([contact])
+    problem.solve()
+    assert contact.force(problem) == pytest.approx((0, 0.014), abs=1e-8)
+    assert problem.iterations <= 7 and problem.halvings == 0
+
+
 def test_beam_on_rollers():
     """Under a punch, all of them apart at first: it rests on what can push."""
 
