@@ -30,18 +30,22 @@ def solved(M: Array, b: Array, zero: Array) -> tuple[Array, bool]:
     return z / size, is_solved
 
 
+def solution(M: Array, b: Array) -> tuple[Array, bool]:
+    """Solution of a system of equations; False if a pivot is zero, as a second load shows."""
+    try:
+        x, probe = np.linalg.solve(M, np.stack((b, np.cos(np.arange(len(b)))), 1)).T
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(M, b)[0], False
+    return x, bool(np.abs(probe).max(initial=0) * PIVOT <= 1)
+
+
 def _by_blocks(M: Array, b: Array, zero: Array) -> Array | None:
     """Block pivoting: all that is wrong is exchanged at once; None where that doesn't end."""
     on, fewest, left = b < -zero, len(b) + 1, TRIALS
     while left:
-        z, part = np.zeros(len(b)), M[np.ix_(on, on)]
-        try:
-            z[on], probe = np.linalg.solve(
-                part, np.stack((-b[on], np.cos(np.arange(on.sum()))), 1)
-            ).T
-        except np.linalg.LinAlgError:
-            return None
-        if np.abs(probe).max(initial=0) * PIVOT > 1:
+        z = np.zeros(len(b))
+        z[on], is_regular = solution(M[np.ix_(on, on)], -b[on])
+        if not is_regular:
             return None
         w = np.where(on, 0, b + M @ z)
         wrong = np.where(on, z, w) < -zero

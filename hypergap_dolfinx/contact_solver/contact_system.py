@@ -640,7 +640,12 @@ class ContactSystem(NonlinearSystem):
         )
 
     def _check_held(self):
-        """Raise if sticking multipliers hold a body with more than friction can."""
+        """Raise if nothing can hold a body, or sticking with more than friction can. Collective."""
+        if self._num_free:
+            sets = [rows.state.copy() for rows in self._rows]
+            self._hold()
+            for rows, state in zip(self._rows, sets, strict=True):
+                rows.restore(state)
         for rows in self._hold_too_much():
             raise SolveError(
                 f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "

@@ -263,7 +263,7 @@ class LinearisedContact:
         found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
         if found is not None:
             return found, True
-        z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=None)[0], -1.0, 1.0, 0
+        z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=PIVOT)[0], -1.0, 1.0, 0
         while failures < TRIALS:
             share = give * SHORTENED**power if power < 2 * TRIALS else 0.0
             zero = 1 + share * np.abs(A).max()
@@ -288,16 +288,21 @@ class LinearisedContact:
         return self._descended(y0, f0, A, B, of, z, zero, 0) if found is None else found
 
     def _descended(self, y0, f0, A, B, of, z, zero: float, trials: int) -> Array | None:
-        """Newton's method with so many trials of a shorter step; all steps are full for none."""
+        """Newton's method with so many trials of a shorter step; all steps are full for none.
+
+        Where states make the equations singular, a full step goes far, to other states. But it is
+        no solution: this is the least one, if there is any in these states.
+        """
         laws = self._laws(y0 + B @ z, f0 + A @ z, of, zero)
         for _ in range(STEPS):
             if laws.are_satisfied:
                 return z
             slope = laws.slope(A, B)
-            try:
-                way = np.linalg.solve(slope, -laws.error)
-            except np.linalg.LinAlgError:
-                way = np.linalg.lstsq(slope, -laws.error)[0]
+            way, is_regular = complementarity.solution(slope, -laws.error)
+            if not is_regular:
+                near = z + np.linalg.lstsq(slope, -laws.error, rcond=PIVOT)[0]
+                if self._laws(y0 + B @ near, f0 + A @ near, of, zero).are_satisfied:
+                    return near
             size, share, start = np.linalg.norm(laws.error), 1.0, z
             for _ in range(max(trials, 1)):
                 z = start + share * way
@@ -307,6 +312,8 @@ class LinearisedContact:
                 share /= 2
             else:
                 return None
+            if not is_regular and laws.are_satisfied:
+                return None  # nothing holds what went far
         return None
 
     def _laws(self, y, f, of, zero=1.0) -> "_Laws":

@@ -105,7 +105,10 @@ PIVOT = 1e-10
 """Pivot treated as zero, in a matrix of numbers around 1, and change of gaps or forces along a
 ray, over the largest one.
 Measured: a block that only a pull would hold: 3e-14 to 1e-12; 1e-13 and 1e-8 change nothing in
-the same tests and scenes; 1e-13 to 1e-6 along rays nothing with 110 random bodies in grooves."""
+the same tests and scenes; 1e-13 to 1e-6 along rays nothing with 110 random bodies in grooves.
+With friction, 451 small problems of blocks, stacks, wedges and discs that nothing else holds: the
+least singular value over the largest is 1e-19 to 1e-14 in 75 of them, in the others from 1e-11
+on."""
 
 GUESSED = 500
 """Number of unknowns of the small problem above which their states are the next working set, as

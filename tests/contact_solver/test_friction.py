@@ -15,12 +15,13 @@ from assembly import Elastic, rectangle
 from helpers import close, raises, sweep, two_ranks
 
 import meshes
+import ufl
 from dolfinx import fem
-from hypergap_dolfinx import Contact, ContactProblem
+from hypergap_dolfinx import Contact, ContactProblem, SolveError
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
-from hypergap_dolfinx.contact_solver import contact_system, linearised, tangent
+from hypergap_dolfinx.contact_solver import complementarity, contact_system, linearised, tangent
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 
@@ -284,6 +285,43 @@ def test_rests_on_a_slope():
     problem.solve()
     assert problem.iterations <= 8 and problem.halvings == 0  # no equilibrium, before
     assert np.abs(contact.force(problem) - (0, 0, 0.1)).max() <= 1e-8
+
+
+@two_ranks()
+@pytest.mark.parametrize("pivot", (complementarity.PIVOT, 0.0))
+def test_pushed_at_its_top(pivot, monkeypatch):
+    """A block whose weight and friction alone hold it, pushed with nine tenths of what moves it.
+
+    One vertex more or less makes the small problem singular. Where that isn't seen, the block goes
+    by 1e9 to where no contact holds it, which is no equilibrium.
+    """
+    monkeypatch.setattr(complementarity, "PIVOT", pivot)
+    wide, high, weight, friction = 0.4, 0.92, 0.005, 0.2
+    (W, below), (V, tags) = (
+        (fem.functionspace(mesh, ("Lagrange", 1, (2,))), tags)
+        for mesh, tags in (
+            meshes.block(comm, (2, 1), lambda x: (x[:, :2] - (0.5, 1)) * (4, 0.3)),
+            meshes.block(
+                comm, (6, 5), lambda x: (x[:, :2] - (0.5, 0)) * (wide, high), cell="triangle"
+            ),
+        )
+    )
+    body, push = Elastic.on(V, (1.0, 1.0)), fem.Constant(V.mesh, 0.0)
+    at_top = ufl.gt(ufl.SpatialCoordinate(V.mesh)[1], 0.999 * high)
+    F = body.F - ufl.conditional(at_top, push, 0) * ufl.TestFunction(V)[0] * ufl.ds
+    sides = (W, below.find(meshes.TOP)), (V, tags.find(meshes.BOTTOM))
+    contact = Contact(*sides, friction=friction)
+    problem = ContactProblem([None, F], [fem.Function(W), body.u], contacts=[contact])
+    body.weight.value = weight / (wide * high)
+    for share in (0.45, 0.9):
+        push.value = share * friction * weight / wide
+        try:
+            problem.solve()
+        except SolveError:
+            assert not pivot
+        else:
+            force = -share * friction * weight, weight
+            assert np.abs(contact.force(problem) - force).max() <= 1e-9 * weight
 
 
 def test_back_and_forth():
