@@ -357,6 +357,7 @@ class ContactProblem(ContactSystem):
         if not self._num_steps:
             self._warn_of_stiffness(self._comm)
             self._warn_of_chords(self._comm)
+        self._poked = [part[:0] for part in self._poking]
         done, size, ahead = 0.0, 1.0, None
         while done < 1:
             before, values = self._state(), [u.x.array.copy() for u in self._set]
@@ -408,6 +409,7 @@ class ContactProblem(ContactSystem):
             else:
                 for one in (*self._rows, *self._points):
                     one.commit()
+                self._poked = [a if len(a) else b for a, b in zip(self._poked, self._poking)]
                 now = self._state()
                 on = any(state.p.any() for state in (*before.contacts, *now.contacts))
                 self._last.remember(load, before.values, now.values, in_contact=on)
@@ -609,6 +611,7 @@ class ContactProblem(ContactSystem):
     def _warn_of_distance(self):
         """Warn, once for each contact, of what means of gaps don't see."""
         kinds = (
+            (0, "a corner went more than half of the way through the other side, and may go on"),
             (FAR_PRESSURE, "a pressure acts on surfaces up to {:.1f} facets apart"),
             (FAR_PRESSURE / 2, "surfaces overlap by {:.1f} facets of the finer side"),
             (
@@ -619,7 +622,8 @@ class ContactProblem(ContactSystem):
         )
         for c, rows in enumerate(self._rows):
             left = [k for k in range(len(kinds)) if ("far", c, k) not in self._told]
-            found = rows.reaches(FAR_PRESSURE / 2) if left else []
+            found = [(1.0, at) for at in self._poked[c][:1]] or [(0.0, self._poked[c])]
+            found += rows.reaches(FAR_PRESSURE / 2) if left else []
             for k, (size, at) in enumerate(found):
                 bound, words = kinds[k]
                 if k not in left or size <= bound:

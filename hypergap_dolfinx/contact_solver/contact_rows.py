@@ -343,23 +343,26 @@ class ContactRows:
         before, after = (a if body is None else b for body, a, b in pairs)
         return before, after
 
-    def passed(self, since: Displacements) -> npt.NDArray[np.float64]:
-        """Places of vertices that went through a wall of the other side, ``(num, n)``.
+    def passed(self, since: Displacements) -> list[npt.NDArray[np.float64]]:
+        """Places of vertices that went through a wall of the other side, and of corners that did.
+
+        ``(num, n)`` each.
 
         Args:
             since: Displacements from which they went straight to where they are.
         """
         if not self._follows:
-            return np.empty((0, self._n))
+            return [np.empty((0, self._n))] * 2
         ways = [
             (side.displaced(a), side.displaced(b))
             for side, a, b in zip(self.sides, since, self.u, strict=True)
         ]
+        each = (ways[:1] * 2,) if self.meets_itself else (ways, ways[::-1])
         found = [
-            mine[1].x[went_through(mine, others, self.closed, itself=self.meets_itself)]
-            for mine, others in ((ways[:1] * 2,) if self.meets_itself else (ways, ways[::-1]))
+            [mine[1].x[at] for at in went_through(mine, others, self.closed, itself=len(each) == 1)]
+            for mine, others in each
         ]
-        return np.concatenate(found)
+        return [np.concatenate(part) for part in zip(*found, strict=True)]
 
     @property
     def _slopes(self) -> Sparse:

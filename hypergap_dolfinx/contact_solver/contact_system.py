@@ -163,6 +163,7 @@ class ContactSystem(NonlinearSystem):
         self._before: tuple[list, list, list] | None = None  # values, residual and forces
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
+        self._poking = [np.empty((0, self._dim)) for _ in pairs]  # corners, when last looked at
         self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
@@ -431,7 +432,7 @@ class ContactSystem(NonlinearSystem):
             since: Displacements of each contact's sides there.
         """
         for c, (rows, u) in enumerate(zip(self._rows, since, strict=True)):
-            at = rows.passed(u)
+            at, self._poking[c] = rows.passed(u)
             if len(at):
                 return (
                     f"one side of contact {c} went through the other one, around {spot(at)}, "

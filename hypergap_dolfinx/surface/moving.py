@@ -15,6 +15,7 @@ import basix
 from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
 from hypergap_dolfinx.surface.search import meeting
+from hypergap_dolfinx.surface.tolerances import FACING_COSINE
 from hypergap_dolfinx.surface.trace import Surface, lengths, normals_by_area
 
 
@@ -110,57 +111,78 @@ def displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
 
 def went_through(
     mine: tuple[Surface, Surface], others: tuple[Surface, Surface], least: float, *, itself: bool
-) -> npt.NDArray[np.intp]:
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Vertices of a surface that went through a wall of another one on straight ways.
 
     Such a vertex crosses the middle of the wall from the front, ends behind it, and comes nearer by
     half of the wall at least. The wall is what lies between a facet and the far side of its own
     surface or, if that is less, between the vertex and the far side of its own, both along the
-    facet's normal: what slides past an end of the other surface, a little deeper than it, goes
-    along its own. Surfaces without a far side have no walls.
+    facet's normal. What slides past an end, a little deeper than the surface beside it, crosses no
+    middle: there it faces a facet that is nearer than half of that depth, and than half of the wall
+    at that facet, which isn't the far side. Surfaces without a far side have no walls.
 
     Args:
         mine: The surface before and after.
         others: The other one, likewise.
         least: Depth treated as zero.
         itself: True if both are one surface, where no vertex meets its own facets.
+
+    Returns:
+        Vertices whose facets all went through, halfway to the vertex, and corners of which some
+        facets did, ``(num,)`` each.
     """
     own, corners = map(_simplices, (mine[0], others[0]))
+    y = mine[0].x[own]
     x = np.stack([(s.x[own] + s.x[own].mean(axis=1, keepdims=True)) / 2 for s in mine])
     x = x.reshape(2, -1, x.shape[3])
     c = np.stack([s.x[corners] for s in others])
     shift = (c[1] - c[0]).mean(axis=(0, 1))
     x[1], c[1] = x[1] - shift, c[1] - shift
-    v, f = meeting(_boxes(x), _boxes(np.concatenate(c.swapaxes(1, 2)))).T
+    ways = x[:, :, None], c
+    v, f = meeting(*(_boxes(np.concatenate((way, 2 * way[:1] - way[1:]))) for way in ways)).T
     n = np.stack([_units(part) for part in c])
     h0, h1 = np.einsum("tpi,tpi->tp", x[:, v] - c[:, f, 0], n[:, f])
     may = h1 < np.minimum(2 * h0, -least)  # else it doesn't come nearer by what it ends behind
+    (low, high), (low_f, high_f) = (_boxes(way).swapaxes(0, 1) for way in ways)
+    may &= (h0 < 0) | ((low[v] <= high_f[f]) & (low_f[f] <= high[v])).all(axis=1)
     if itself:
         may &= (corners[f][:, :, None] != own[v // own.shape[1]][:, None]).all(axis=(1, 2))
     v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
     far = 2 * np.minimum(h0 - h1, -h1)
     on = own[v // own.shape[1]]
     deep = np.minimum(
-        _walls(mine[0].x[own], own, x[0][v], far[:, None] * n[0, f], on),
-        _walls(c[0], corners, c[0][f].mean(axis=1), -far[:, None] * n[0, f], corners[f]),
+        _walls(y, x[0][v], far[:, None] * n[0, f], own, on),
+        _walls(c[0], c[0][f].mean(axis=1), -far[:, None] * n[0, f], corners, corners[f]),
     )
     deep *= far / 2
     goes = np.flatnonzero((h0 > -deep) & np.isfinite(deep))
     v, f, deep = v[goes], f[goes], deep[goes]
     if not len(v):
-        return v
-    c = c[:, f] - (deep[:, None] * n[:, f])[:, :, None]
+        return v, v
+    middle = c[:, f] - (deep[:, None] * n[:, f])[:, :, None]
     low, high = np.zeros(len(v)), np.ones(len(v))
     for _ in range(np.finfo(float).nmant):  # halving: in space it is a cubic
         t = (low + high)[:, None] / 2
         at = x[0, v] + t * (x[1, v] - x[0, v])
-        facet = c[0] + t[:, None] * (c[1] - c[0])
+        facet = middle[0] + t[:, None] * (middle[1] - middle[0])
         front = np.einsum("pi,pi->p", at - facet[:, 0], normals_by_area(facet)) > 0
         low, high = np.where(front, t[:, 0], low), np.where(front, high, t[:, 0])
     passed, found = np.ones(len(mine[0].x), dtype=bool), np.zeros(x.shape[1], dtype=bool)
-    found[v[_are_inside(at, facet)]] = True
+    there = np.flatnonzero(_are_inside(at, facet))
+    if not itself:
+        p, s, off, shares = _near(at[there], t[there, 0], c, deep[there] / 2)
+        on, way = v[there[p]], 2 * off[:, None] * n[0, s]
+        foot = np.einsum("pc,pci->pi", shares, c[0, s])
+        lean, beside = (
+            np.einsum("pi,pi->p", normals, n[0, s])
+            for normals in (_units(y)[on // own.shape[1]], n[0, f[there[p]]])
+        )
+        shallow = (lean < np.finfo(float).eps ** 0.5) & (beside > FACING_COSINE)
+        shallow &= np.isinf(np.minimum(_walls(y, x[0][on], way), _walls(c[0], foot, -way)))
+        there = np.delete(there, p[shallow])
+    found[v[there]] = True
     np.logical_and.at(passed, own.ravel(), found)
-    return np.flatnonzero(passed)
+    return np.flatnonzero(passed), np.setdiff1d(own.ravel()[found], np.flatnonzero(passed))
 
 
 def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
@@ -171,8 +193,8 @@ def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
 
 
 def _boxes(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Boxes around points of several sets, ``(num_points, num_sets, n)``."""
-    return np.stack((x.min(axis=0), x.max(axis=0)), axis=1)
+    """Boxes around moving sets of points, ``(num_times, num_sets, num_points, n)``."""
+    return np.stack((x.min(axis=(0, 2)), x.max(axis=(0, 2))), axis=1)
 
 
 def _units(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -181,21 +203,23 @@ def _units(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return n / np.maximum(lengths(n), np.finfo(float).tiny)[:, None]
 
 
-def _walls(corners, vertices, x, ways, near) -> npt.NDArray[np.float64]:
+def _walls(corners, x, ways, vertices=None, near=None) -> npt.NDArray[np.float64]:
     """Shares of ways, from points, at which they first leave through a simplex; ∞: nowhere.
 
     Args:
         corners: Corners of the simplices, ``(num_simplices, n, n)``.
-        vertices: Their vertices, ``(num_simplices, n)``.
         x: The points, ``(num, n)``.
         ways: The ways, likewise.
-        near: Vertices for each point whose simplices don't count, ``(num, num_near)``.
+        vertices: Vertices of the simplices, ``(num_simplices, n)``.
+        near: Vertices for each point whose simplices don't count, ``(num, num_near)``; not given:
+            none, but for simplices that have the point.
     """
-    p, s = meeting(_boxes(np.stack((x, x + ways))), _boxes(corners.swapaxes(0, 1))).T
+    p, s = meeting(_boxes(np.stack((x, x + ways))[:, :, None]), _boxes(corners[None])).T
     n = normals_by_area(corners[s])
     along, high = (np.einsum("pi,pi->p", a, n) for a in (ways[p], corners[s, 0] - x[p]))
-    on = (along > 0) & (high > 0) & (high <= along)
-    on &= (vertices[s][:, :, None] != near[p][:, None]).all(axis=(1, 2))
+    on = (along > 0) & (high > np.finfo(float).eps ** 0.5 * along) & (high <= along)
+    if near is not None:
+        on &= (vertices[s][:, :, None] != near[p][:, None]).all(axis=(1, 2))
     p, s, share = p[on], s[on], high[on] / along[on]
     hit = _are_inside(x[p] + share[:, None] * ways[p], corners[s])
     found = np.full(len(x), np.inf)
@@ -203,12 +227,48 @@ def _walls(corners, vertices, x, ways, near) -> npt.NDArray[np.float64]:
     return found
 
 
-def _are_inside(x, corners) -> npt.NDArray[np.bool_]:
-    """Mask of points in the planes of simplices that are inside of them, each of its own."""
+def _near(x, t, corners, least):
+    """Points and moving simplices less than a distance apart, the distances, and :func:`_feet`.
+
+    Args:
+        x: The points, ``(num, n)``.
+        t: Share of the simplices' ways at each point, ``(num,)``.
+        corners: The simplices before and after, ``(2, num_simplices, n, n)``.
+        least: The distance for each point, ``(num,)``.
+    """
+    ball = np.stack((x - least[:, None], x + least[:, None]))[:, :, None]
+    p, s = meeting(_boxes(ball), _boxes(corners)).T
+    now = corners[0, s] + t[p, None, None] * (corners[1, s] - corners[0, s])
+    shares = _feet(x[p], now)
+    off = np.linalg.norm(x[p] - np.einsum("pc,pci->pi", shares, now), axis=1)
+    near = off < least[p]
+    return p[near], s[near], off[near], shares[near]
+
+
+def _feet(x, corners) -> npt.NDArray[np.float64]:
+    """Shares of simplices' corners in their places next to points, ``(num, n)``."""
+    e, apart = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
+    square = np.maximum(np.einsum("pci,pci->pc", e, e), np.finfo(float).tiny)
+    along = (np.einsum("pci,pci->pc", apart, e) / square).clip(0, 1)
+    edge = np.linalg.norm(apart - along[..., None] * e, axis=2).argmin(axis=1)
+    each, num = np.arange(len(x)), corners.shape[1]
+    shares = np.zeros((len(x), num))
+    shares[each, edge] = 1 - along[each, edge]
+    shares[each, (edge + 1) % num] = along[each, edge]
+    within = _shares(x, corners)
+    return np.where((within >= 0).all(axis=1, keepdims=True), within, shares)
+
+
+def _shares(x, corners) -> npt.NDArray[np.float64]:
+    """Shares of simplices' corners in the feet of points in their planes, ``(num, n)``."""
     e = corners[:, 1:] - corners[:, :1]
-    share = np.linalg.pinv(e @ e.swapaxes(1, 2)) @ (e @ (x - corners[:, 0])[..., None])
-    off = np.finfo(float).eps ** 0.5
-    return (share[..., 0] >= -off).all(axis=1) & (share.sum(axis=(1, 2)) <= 1 + off)
+    found = np.linalg.pinv(e @ e.swapaxes(1, 2)) @ (e @ (x - corners[:, 0])[..., None])
+    return np.column_stack((1 - found.sum(axis=(1, 2)), found[..., 0]))
+
+
+def _are_inside(x, corners) -> npt.NDArray[np.bool_]:
+    """Mask of points whose feet in the planes of simplices are inside, each of its own."""
+    return (_shares(x, corners) >= -(np.finfo(float).eps ** 0.5)).all(axis=1)
 
 
 @dataclass(frozen=True)

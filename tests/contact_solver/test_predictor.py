@@ -140,6 +140,54 @@ def test_not_through_a_plate(moved):
     assert problem.halvings and force == pytest.approx(-8.1e-3, rel=0.02)  # 0 if it went through
 
 
+def flat(sizes, moves, held, *, rigid=False):
+    """Two blocks with all of their facets in contact; the second one is moved in load steps.
+
+    Args:
+        sizes: Cells, size, lower corner and stiffness of each.
+        moves: Displacements of the second one's upper end, or of all of it if it is rigid.
+        held: Tags of the first one's fixed ends.
+    """
+    u, F, bcs, sides = [], [], [], []
+    for i, (n, size, low, stiffness) in enumerate(sizes):
+        mesh, ft = meshes.block(comm, n, lambda x, s=size, a=low: x * s + a, cell="quadrilateral")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body = Elastic.on(V, lame_constants(stiffness), large=True)
+        tags = (meshes.TOP,) if i else held
+        ends = fem.locate_dofs_topological(V, 1, np.sort(np.concatenate(list(map(ft.find, tags)))))
+        goal = body.u if rigid and i else fem.Function(V)
+        bcs += [] if rigid and i else [fem.dirichletbc(goal, ends)]
+        u.append(body.u)
+        F.append(None if rigid and i else body.F)
+        sides.append((V, np.sort(ft.indices)))
+    contact = Contact(*sides)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    for move in moves:
+        goal.interpolate(lambda x, move=move: np.outer(move, np.ones(x.shape[1])))
+        problem.solve()
+        yield problem
+
+
+@pytest.mark.ranks(2)
+def test_slides_past_an_end():
+    """The end of a plate sweeps over what was pressed down, or will be: nothing is passed."""
+    sizes = ((10, 6), (1, 0.5), (0, 0), 1.0), ((12, 1), (2, 0.05), (-0.5, 0.51), 1.0)
+    moves = (0, -0.02), (0.9, -0.02), (-0.9, -0.02)
+    solved = flat(sizes, moves, (meshes.BOTTOM,), rigid=True)
+    assert [problem.halvings for problem in solved] == [0, 0, 0]
+
+
+@pytest.mark.ranks(2)
+def test_corners_in_a_strip_are_told(caplog):
+    """A single cell presses its corners deep into a strip, though its mean gaps are 0."""
+    sizes = ((6, 1), (1, 0.04), (0, -0.04), 20.0), ((1, 1), (0.2, 0.2), (0.33, 0.01), 3.0)
+    told = [
+        sum("more than half of the way through" in line for line in caplog.messages)
+        for _ in flat(sizes, ((0, -0.02), (0, -0.1), (0, -0.1)), (meshes.LEFT, meshes.RIGHT))
+    ]
+    assert told == ([0, 1, 1] if comm.rank == 0 else [0, 0, 0])
+
+
 @pytest.mark.ranks(2)
 def test_way_without_gaps(monkeypatch):
     """Where the way of a start has no gaps to look at, load steps start where the bodies are."""
