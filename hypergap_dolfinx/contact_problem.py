@@ -409,7 +409,9 @@ class ContactProblem(ContactSystem):
             else:
                 for one in (*self._rows, *self._points):
                     one.commit()
-                self._poked = [a if len(a) else b for a, b in zip(self._poked, self._poking)]
+                self._poked = [
+                    a if len(a) else b for a, b in zip(self._poked, self._poking, strict=True)
+                ]
                 now = self._state()
                 on = any(state.p.any() for state in (*before.contacts, *now.contacts))
                 self._last.remember(load, before.values, now.values, in_contact=on)
@@ -622,7 +624,8 @@ class ContactProblem(ContactSystem):
         )
         for c, rows in enumerate(self._rows):
             left = [k for k in range(len(kinds)) if ("far", c, k) not in self._told]
-            found = [(1.0, at) for at in self._poked[c][:1]] or [(0.0, self._poked[c])]
+            at = self._poked[c]
+            found = [(float(len(at)), at[0] if len(at) else at)]
             found += rows.reaches(FAR_PRESSURE / 2) if left else []
             for k, (size, at) in enumerate(found):
                 bound, words = kinds[k]

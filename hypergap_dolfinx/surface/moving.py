@@ -210,9 +210,9 @@ def _walls(corners, x, ways, vertices=None, near=None) -> npt.NDArray[np.float64
         corners: Corners of the simplices, ``(num_simplices, n, n)``.
         x: The points, ``(num, n)``.
         ways: The ways, likewise.
-        vertices: Vertices of the simplices, ``(num_simplices, n)``.
-        near: Vertices for each point whose simplices don't count, ``(num, num_near)``; not given:
-            none, but for simplices that have the point.
+        vertices: Vertices of the simplices, ``(num_simplices, n)``, if near is given.
+        near: Vertices for each point whose simplices don't count, ``(num, num_near)``. Simplices on
+            which a point is never count.
     """
     p, s = meeting(_boxes(np.stack((x, x + ways))[:, :, None]), _boxes(corners[None])).T
     n = normals_by_area(corners[s])
@@ -246,7 +246,7 @@ def _near(x, t, corners, least):
 
 
 def _feet(x, corners) -> npt.NDArray[np.float64]:
-    """Shares of simplices' corners in their places next to points, ``(num, n)``."""
+    """Weights of simplices' corners in the places on them nearest to points, ``(num, n)``."""
     e, apart = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
     square = np.maximum(np.einsum("pci,pci->pc", e, e), np.finfo(float).tiny)
     along = (np.einsum("pci,pci->pc", apart, e) / square).clip(0, 1)
