@@ -30,25 +30,22 @@ from hypergap_dolfinx.surface.trace import is_mixed
 LOG = logging.getLogger("hypergap_dolfinx")
 
 
-def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
-    """True if the system leaves a constant undetermined. Collective.
+def constants(system: System, b: PETSc.Vec) -> PETSc.Vec | None:
+    """Constants that neither K nor B shows alone, if the system may have some. Collective.
 
-    Constants are multiplied by A and solved for again. Such constants, which neither K nor B shows
-    alone, are a pressure (a scalar of a mixed space) if displacements are prescribed all around,
-    and a body that is held only by a tie with a conductance of 0.
+    They are a pressure (a scalar of a mixed space), free if displacements are prescribed all
+    around, and a body that is held only by a tie with a conductance of 0.
 
     Args:
         system: The system.
-        solver: Its solver, with factors.
         b: A vector of the system's layout.
     """
     conducts = system.constraints.conducts
-    if solver.ksp.getPC().getType() != "lu" or not (conducts or any(map(is_mixed, system.spaces))):
-        return False  # iterative solvers may be given a null space
+    if not (conducts or any(map(is_mixed, system.spaces))):
+        return None
     x = b.duplicate()
     x.set(0.0)
-    prescribed = system.constraints.prescribed
-    of_x = x.getNestSubVecs()
+    of_x, prescribed = x.getNestSubVecs(), system.constraints.prescribed
     for i, (part, V, held) in enumerate(zip(of_x, system.spaces, prescribed)):
         if is_mixed(V):
             for field in lagrange_components(V):
@@ -57,16 +54,35 @@ def undetermined(system: System, solver: Solver, b: PETSc.Vec) -> bool:
                     part.array[:] += np.where(held, 0, field.into_body(ones))
         elif conducts:  # other ones on each body, such that ties have a jump
             part.array[:] = np.where(held, 0, i + 1)
+    saddle.destroy_parts(of_x)
+    return x
+
+
+def undetermined(system: System, solver: Solver, x: PETSc.Vec) -> bool:
+    """True if x isn't found again from its loads A x, on the bodies. Collective.
+
+    A matrix with a null vector gives any multiple of it besides. If there is no load along it, the
+    residual is round-off all the same.
+
+    Args:
+        system: The system.
+        solver: Its solver, with factors.
+        x: A vector of the system's layout.
+    """
+    if solver.ksp.getPC().getType() != "lu":
+        return False  # iterative solvers may be given a null space
     loads, found = x.duplicate(), x.duplicate()
     system.A.mult(x, loads)
     solver.solve(loads, found)
     found.axpy(-1.0, x)
-    found_parts = found.getNestSubVecs()
-    error = max(part.norm(PETSc.NormType.INFINITY) for part in found_parts[: len(system.spaces)])
-    saddle.destroy_parts((*of_x, *found_parts))
-    for vector in (x, loads, found):
+    parts = found.getNestSubVecs(), x.getNestSubVecs()
+    error, size = (
+        max(part.norm(PETSc.NormType.INFINITY) for part in of[: len(system.spaces)]) for of in parts
+    )
+    saddle.destroy_parts((*parts[0], *parts[1]))
+    for vector in (loads, found):
         vector.destroy()
-    return not error < UNKNOWN
+    return not error <= UNKNOWN * size
 
 
 class TiedSystem(collective.Owner):
@@ -102,7 +118,7 @@ class TiedSystem(collective.Owner):
         ties = pieces.ties
         self._solved = False
         self._told = set[Hashable]()  # what is said only once
-        self._motions_known = self._constants_known = False
+        self._motions_known = self._constants_known = self._is_regular = False
         self._scales = [1.0] * len(self._a)
         self._scales_fixed = False
         self._ticket = collective.enter(self._u[0].function_space.mesh.comm)
@@ -192,20 +208,34 @@ class TiedSystem(collective.Owner):
 
     def _check_constants(self):
         """Raise if the last solve left a constant undetermined. Collective."""
-        if self._constants_known:
-            return
-        if undetermined(self._system, self._solver, self._b):
-            why = []
-            if any(map(is_mixed, self._system.spaces)):
-                why.append(
-                    "a pressure (or another scalar of a mixed space) is known up to a constant "
-                    "only; hold it at a node (or take more cells across, where there is one "
-                    "between prescribed walls)"
-                )
-            if self._constraints.conducts:
-                why.append("a body is free that would be held by a conductance if that weren't 0")
-            raise SolveError(f"the matrix is singular: {', or '.join(why)}.")
+        if not self._constants_known and (x := constants(self._system, self._b)) is not None:
+            free = undetermined(self._system, self._solver, x)
+            x.destroy()
+            if free:
+                raise SolveError(f"the matrix is singular: {', or '.join(self._free_constants())}.")
         self._constants_known = True
+
+    def _check_regular(self):
+        """Raise if the solution isn't the only one, where factors are those of A. Collective."""
+        if not self._is_regular and undetermined(self._system, self._solver, self._x):
+            raise SolveError(
+                "the matrix is singular: the solution isn't found again from its loads; a body "
+                "isn't held, or a form's quadrature degree is too low for its element."
+            )
+        self._is_regular = True
+
+    def _free_constants(self) -> list[str]:
+        """What may be undetermined."""
+        why = []
+        if any(map(is_mixed, self._system.spaces)):
+            why.append(
+                "a pressure (or another scalar of a mixed space) is known up to a constant only; "
+                "hold it at a node (or take more cells across, where there is one between "
+                "prescribed walls)"
+            )
+        if self._constraints.conducts:
+            why.append("a body is free that would be held by a conductance if that weren't 0")
+        return why
 
     def _release(self) -> list:
         """The PETSc objects, removed from the problem."""

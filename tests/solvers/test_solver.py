@@ -36,6 +36,7 @@ def pile(
     num=(4, 3),
     flip=False,
     mapping=None,
+    dx=ufl.dx,
 ):
     """Blocks on top of each other, the upper ones (or lower) Γ1 of the ties, all pulled sideways.
 
@@ -57,7 +58,7 @@ def pile(
         u, v = ufl.TrialFunction(W), ufl.TestFunction(W)
         E = fem.Constant(mesh, default_scalar_type(E))  # one kernel for all values
         if kind == "vector":
-            a.append(E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx)
+            a.append(E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * dx)
             load = default_scalar_type(np.eye(dim)[0] * (i + 1))
         else:
             a.append(E * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
@@ -600,6 +601,14 @@ def test_multigrid_of_a_changed_matrix():
         problem.solve()
         its.append(problem.iterations)
     assert max(its) <= 27 and its[3] == its[0], str(its)
+
+
+@two_ranks()
+def test_cells_that_deform_without_a_stress():
+    """Triangles of degree 2 with one quadrature point: no load shows what is undetermined."""
+    a, L, bcs, ties = pile(2, degree=2, dx=ufl.dx(metadata={"quadrature_degree": 1}))
+    with pytest.raises(SolveError, match="quadrature degree is too low for its element"):
+        TiedProblem(a, L, bcs=bcs, ties=ties, solver="direct").solve()
 
 
 @two_ranks()
