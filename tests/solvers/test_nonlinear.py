@@ -17,7 +17,6 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import NonlinearTiedProblem, SolveError, Tie, TiedProblem
-from hypergap_dolfinx.algebra import checks
 from hypergap_dolfinx.solvers import choice
 
 comm = MPI.COMM_WORLD
@@ -146,21 +145,15 @@ def test_failure_is_an_error():
 
 
 @two_ranks()
-def test_stiffness_that_is_no_number_later(monkeypatch):
+def test_stiffness_that_is_no_number_later():
     """Cells turned over may be seen by the stiffness alone: smaller load steps may help."""
     V, fts, tie = two_blocks()
     problem, _ = problem_of(V, fts, tie, energy, (fixed, sheared))
-    check, seen = checks.check_finite, []
-
-    def check_later(K, what, spaces):
-        seen.append(K[0])
-        if len(seen) == 3:
-            K[0].scale(np.nan)
-        check(K, what, spaces)
-
-    monkeypatch.setattr(checks, "check_finite", check_later)
-    with pytest.raises(SolveError, match="after 1 steps: the stiffness of body 0 has NaN"):
-        problem.solve()
+    problem.solve()
+    x = problem.x.copy()
+    x.set(np.nan)  # not in a solve: PETSc's log of events would be wrong for later tests
+    with pytest.raises(SolveError, match=r"after \d+ steps: the stiffness of body 0 has NaN"):
+        problem._jacobian(x)
 
 
 def test_numbers_of_forms():
