@@ -357,10 +357,10 @@ class ContactRows:
             (side.displaced(a), side.displaced(b))
             for side, a, b in zip(self.sides, since, self.u, strict=True)
         ]
-        each = (ways[:1] * 2,) if self.meets_itself else (ways, ways[::-1])
+        itself = self.meets_itself
         found = [
-            [mine[1].x[at] for at in went_through(mine, others, self.closed, itself=len(each) == 1)]
-            for mine, others in each
+            [mine[1].x[at] for at in went_through(mine, others, self.closed, itself=itself)]
+            for mine, others in ((ways[:1] * 2,) if itself else (ways, ways[::-1]))
         ]
         return [np.concatenate(part) for part in zip(*found, strict=True)]
 
