@@ -33,6 +33,7 @@ from hypergap_dolfinx.algebra.rigid_motions import mean, motions, places
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.core.graph import parts
 from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal, nonzero_columns
+from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
 from hypergap_dolfinx.solvers.tolerances import FIRST, RESCALE
 
@@ -66,6 +67,16 @@ class Bodies(IterativeSolver):
         **prefixed("square_", LU),
     }
     ADVICE = '; take solver="direct"'
+
+    def __init__(self, system: System, prefix: str, options: dict | None = None):
+        super().__init__(system, prefix, options)
+        pc = self._ksp.getPC().getType()
+        if pc not in ("python", "none"):
+            self.destroy()
+            raise SolveError(
+                f'solver="{self.name}" has a preconditioner of its own, and pc_type is {pc!r}: '
+                'leave it out, or take solver="direct" or "iterative".'
+            )
 
     @classmethod
     def why_not(cls, system: System) -> str | None:

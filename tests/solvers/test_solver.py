@@ -543,6 +543,15 @@ def test_options_of_a_named_solver(solver, options):
     assert difference(problem, direct) <= 1e-7
 
 
+@two_ranks()
+def test_preconditioner_of_bodies():
+    """Another one can't take its place: PETSc ended the process."""
+    a, L, bcs, ties = pile(2)
+    for options in ({"pc_type": "jacobi"}, {"pc_type": "lu"}):
+        with pytest.raises(SolveError, match="preconditioner of its own"):
+            TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies", petsc_options=options)
+
+
 @pytest.mark.parametrize("reaction, match", ((-5.0, "symmetric and positive"), (-1e4, "diagonal")))
 def test_multigrid_is_for_definite_stiffness(reaction, match):
     """The message says so."""
