@@ -136,8 +136,8 @@ class Errors:
     def backward(self, x: PETSc.Vec, b: PETSc.Vec) -> float:
         """Largest residual of the rows of blocks, each relative to the size of its terms.
 
-        Forces that :data:`BACKWARD` times the displacements beside a body make in it are round-off.
-        Collective.
+        Forces that :data:`BACKWARD` times the displacements beside a body make in it are round-off,
+        and so are displacements that :data:`BACKWARD` times its forces make. Collective.
 
         Args:
             x: The solution.
@@ -149,7 +149,10 @@ class Errors:
         if not np.isfinite(lengths).all():
             return np.inf
         beside = np.where(self._beside, lengths, 0).max(axis=1)
-        size = self.norms[1] + BACKWARD * self._sizes.diagonal() * beside + self._sizes @ lengths
+        stiffness, forces = self._sizes.diagonal().copy(), self.norms[1] + self._sizes @ lengths
+        stiffness[len(stiffness) - self._num_ties :] = 0
+        moved = np.divide(forces, stiffness, out=np.zeros(len(forces)), where=stiffness > 0)
+        size = forces + BACKWARD * (stiffness * beside + self._sizes @ moved)
         found = np.divide(self.norms[0], size, out=np.zeros(len(size)), where=size != 0)
         return float(found.max(initial=0.0))
 

@@ -226,6 +226,26 @@ def test_solvers_agree(solver):
     assert_same(us, reference)
 
 
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("solver", ("bodies", "iterative"))
+def test_confined(solver):
+    """Displacements are exact after one step: only tractions are left for the second one."""
+    V, fts, tie = two_blocks()
+    us, goals = ([fem.Function(W) for W in V] for _ in range(2))
+    bcs = []
+    for W, ft, goal in zip(V, fts, goals, strict=True):
+        goal.interpolate(lambda x: np.array([0 * x[0], -0.1 * x[1]]))
+        for tag in (meshes.LEFT, meshes.RIGHT, meshes.BOTTOM, meshes.TOP):
+            if (ft, tag) not in ((fts[0], meshes.TOP), (fts[1], meshes.BOTTOM)):
+                bcs.append(fem.dirichletbc(goal, fem.locate_dofs_topological(W, 1, ft.find(tag))))
+    F = [ufl.derivative(energy(u) * ufl.dx, u) for u in us]
+    problem = NonlinearTiedProblem(F, us, bcs=bcs, ties=[tie], solver=solver)
+    problem.solve()
+    assert problem.iterations == 2
+    for u, goal in zip(us, goals, strict=True):
+        assert np.abs(u.x.array - goal.x.array).max(initial=0) <= 1e-10
+
+
 def test_a_solver_of_the_users():
     """A type that is named replaces all options of the default, as for TiedProblem."""
     V, fts, tie = two_blocks()
