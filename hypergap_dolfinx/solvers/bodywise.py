@@ -69,6 +69,16 @@ class Bodies(IterativeSolver):
     ADVICE = '; take solver="direct"'
 
     def __init__(self, system: System, prefix: str, options: dict | None = None):
+        """Create the KSP, as any solver does, and refuse another preconditioner. Collective.
+
+        Args:
+            system: The system.
+            prefix: Prefix of all PETSc options.
+            options: The user's, over the defaults and the command line's.
+
+        Raises:
+            SolveError: Options name another type of preconditioner, which has no matrix here.
+        """
         super().__init__(system, prefix, options)
         pc = self._ksp.getPC().getType()
         if pc not in ("python", "none"):
