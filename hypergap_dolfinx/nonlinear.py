@@ -136,6 +136,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         revolution.tell(F, self._pieces.ties, "tie")
         revolution.tell_couplings(F, coupled)
         self._failed: BaseException | None = None
+        self._num_tangents = 0
         self._snes = PETSc.SNES().create(self._A.comm)
         me = weakref.proxy(self)  # PETSc's references are no garbage that Python would find
         self._snes.setFunction(lambda snes, x, r: me._evaluated(x, r), self._b)
@@ -222,6 +223,14 @@ class NonlinearTiedProblem(NonlinearSystem):
         self._solved = True
         self._warn_of_turns()
 
+    def _check_first(self):
+        """Raise if the first tangent, whose factors can be no older, is singular. Collective."""
+        if self._num_tangents == 1:
+            if self._renew_couplings():  # they turn with each residual
+                self._A.assemble()
+            self._check_constants()
+            self._check_regular(self._solver.ksp.getSolution())
+
     def _evaluated(self, x: PETSc.Vec, r: PETSc.Vec):
         """Evaluate the residual; exceptions are kept until PETSc's call, which locks x, ends."""
         if self._failed is None:
@@ -233,6 +242,7 @@ class NonlinearTiedProblem(NonlinearSystem):
             part.set(np.nan)
 
     def _jacobian(self, x: PETSc.Vec):
+        self._num_tangents += 1
         self._assign(x)
         try:
             self.assemble_matrix()
@@ -249,6 +259,11 @@ class NonlinearTiedProblem(NonlinearSystem):
         """Record a Newton step."""
         iterations = self._snes.getLinearSolveIterations()
         self._records.note(norm / (np.linalg.norm(self._forces) or 1), iterations, step=step)
+        if step and self._failed is None:
+            try:
+                self._check_first()
+            except BaseException as error:  # raised when PETSc's call ends
+                self._failed = error
 
     def _check_solved(self):
         reason = self._snes.getConvergedReason()
@@ -260,6 +275,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         if failure:
             raise SolveError(failure)
         if self._snes.getLinearSolveIterations() and np.isfinite(self._snes.getFunctionNorm()):
+            self._check_first()
             self._check_constants()  # an undetermined constant fails here
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(

@@ -232,7 +232,7 @@ class TiedProblem(TiedSystem):
         if failure:
             raise SolveError(failure)
         self._check_constants()
-        self._check_regular()
+        self._check_regular(self._x)
         self._assign(self._x)
         self._take_couplings(linear=True)
         self._solved = True

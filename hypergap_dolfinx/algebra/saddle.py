@@ -6,8 +6,9 @@ A compliance enters as the block −C in place of the zero; without one a stored
 stands there, since factorisations need the entries.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -15,6 +16,11 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.algebra.tolerances import BACKWARD, RESIDUAL_ACCEPTED
 from hypergap_dolfinx.core.sparse import row_length
+
+NOT_UNIQUE = (
+    "the matrix is singular: the solution isn't found again from its loads; a body isn't held, or "
+    "a form's quadrature degree is too low for its element."
+)
 
 
 def saddle_matrix(
@@ -242,6 +248,47 @@ def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
     r.destroy()
     length, size = np.sqrt(A.comm.tompi4py().allreduce(own))
     return float(length), float(size)
+
+
+def error_again(
+    A: PETSc.Mat,
+    solve: Callable[[PETSc.Vec, PETSc.Vec], None],
+    x: PETSc.Vec,
+    num: int,
+    units: npt.NDArray | float,
+) -> float:
+    """Error of displacements solved for again from their loads A x, relative to x. Collective.
+
+    A matrix with a null vector gives any multiple of it besides. If there is no load along it, the
+    residual is round-off all the same.
+
+    Args:
+        A: The matrix.
+        solve: Solves with its factors for a vector, into another one.
+        x: The solution, not zero.
+        num: Number of this rank's displacements, which are its first unknowns.
+        units: Units of this rank's rows, as for :func:`failure`.
+    """
+    loads, found = x.duplicate(), x.duplicate()
+    A.mult(x, loads)
+    solve(loads, found)
+    found.axpy(-1.0, x)
+    error, size = np.abs(_local(found)[:num]), np.abs(_local(x) / units)
+    for vector in (loads, found):
+        vector.destroy()
+    most = np.array((error.max(initial=0.0), size.max(initial=0.0)))
+    A.comm.tompi4py().Allreduce(MPI.IN_PLACE, most, MPI.MAX)
+    return float(most[0] / most[1])
+
+
+def _local(x: PETSc.Vec) -> npt.NDArray:
+    """This rank's entries of a vector, which may be nested."""
+    if x.getType() != PETSc.Vec.Type.NEST:
+        return x.array_r.copy()
+    parts = x.getNestSubVecs()
+    values = np.concatenate([part.array_r for part in parts])
+    destroy_parts(parts)
+    return values
 
 
 def block_sizes(A: PETSc.Mat) -> list[dict[int, float]]:

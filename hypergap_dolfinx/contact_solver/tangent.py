@@ -31,6 +31,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.errors import SolveError, UnsolvableError
 from hypergap_dolfinx.solvers.solver import PLANE, DirectStep, Options, names_types
+from hypergap_dolfinx.solvers.tolerances import UNKNOWN
 from hypergap_dolfinx.surface.moving import Sparse, joined
 
 ROOM = {"mat_mumps_icntl_14": 30}
@@ -238,6 +239,7 @@ class Tangent:
         self._retained: _Retained | None = None
         self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = self.iterations = 0
+        self._is_regular = False
         self.floor = 0.0
         """Force that is a residual of zero; factors don't need it."""
 
@@ -306,6 +308,8 @@ class Tangent:
         for number, way in enumerate(self._ways):
             try:
                 solution = self._solve(right, equations, [base, *values], way, beside, anew=anew)
+                if not any(shift):
+                    self._check_regular(way)
             except SolveError:
                 if not fresh or number == len(self._ways) - 1:
                     self.destroy()
@@ -382,6 +386,24 @@ class Tangent:
         return found[: len(right)], [
             rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
         ]
+
+    def _check_regular(self, way: Way):
+        """Raise if the last solution isn't the only one; the first that isn't zero tells."""
+        retained = self._retained
+        assert retained is not None and retained.ksp is not None
+        ksp, x = retained.ksp, retained.vectors[0]
+        direct = ksp.getPC().getType() in ("lu", "cholesky")
+        if self._is_regular or retained.old or not direct or not x.norm():
+            return
+        num = sum(
+            rows.getLocalSize()[0] for i, j, rows in self._blocks() if i == j < self._num_bodies
+        )
+        units = 1.0 if retained.units is None else retained.units
+        with way.options.in_use():
+            error = saddle.error_again(retained.A, ksp.solve, x, num, units)
+        if not error <= UNKNOWN:
+            raise UnsolvableError(saddle.NOT_UNIQUE)
+        self._is_regular = True
 
     def guesses(self) -> Guesses:
         """Rule for guesses of a step's working set: each costs a factorisation."""

@@ -61,9 +61,6 @@ def constants(system: System, b: PETSc.Vec) -> PETSc.Vec | None:
 def undetermined(system: System, solver: Solver, x: PETSc.Vec) -> bool:
     """True if x isn't found again from its loads A x, on the bodies. Collective.
 
-    A matrix with a null vector gives any multiple of it besides. If there is no load along it, the
-    residual is round-off all the same.
-
     Args:
         system: The system.
         solver: Its solver, with factors.
@@ -71,18 +68,13 @@ def undetermined(system: System, solver: Solver, x: PETSc.Vec) -> bool:
     """
     if solver.ksp.getPC().getType() != "lu":
         return False  # iterative solvers may be given a null space
-    loads, found = x.duplicate(), x.duplicate()
-    system.A.mult(x, loads)
-    solver.solve(loads, found)
-    found.axpy(-1.0, x)
-    parts = found.getNestSubVecs(), x.getNestSubVecs()
-    error, size = (
-        max(part.norm(PETSc.NormType.INFINITY) for part in of[: len(system.spaces)]) for of in parts
-    )
-    saddle.destroy_parts((*parts[0], *parts[1]))
-    for vector in (loads, found):
-        vector.destroy()
-    return not error <= UNKNOWN * size
+    parts = x.getNestSubVecs()
+    sizes = [part.getLocalSize() for part in parts]
+    saddle.destroy_parts(parts)
+    units = saddle.scales(saddle.block_sizes(system.A), len(system.constraints.full))
+    num = sum(sizes[: len(system.spaces)])
+    error = saddle.error_again(system.A, solver.solve, x, num, np.repeat(units, sizes))
+    return not error <= UNKNOWN
 
 
 class TiedSystem(collective.Owner):
@@ -215,14 +207,12 @@ class TiedSystem(collective.Owner):
                 raise SolveError(f"the matrix is singular: {', or '.join(self._free_constants())}.")
         self._constants_known = True
 
-    def _check_regular(self):
-        """Raise if the solution isn't the only one, where factors are those of A. Collective."""
-        if not self._is_regular and undetermined(self._system, self._solver, self._x):
-            raise SolveError(
-                "the matrix is singular: the solution isn't found again from its loads; a body "
-                "isn't held, or a form's quadrature degree is too low for its element."
-            )
-        self._is_regular = True
+    def _check_regular(self, x: PETSc.Vec):
+        """Raise if a solution isn't the only one; the first that isn't zero tells. Collective."""
+        if not self._is_regular and x.norm():
+            if undetermined(self._system, self._solver, x):
+                raise SolveError(saddle.NOT_UNIQUE)
+            self._is_regular = True
 
     def _free_constants(self) -> list[str]:
         """What may be undetermined."""

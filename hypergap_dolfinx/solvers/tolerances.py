@@ -7,7 +7,8 @@ UNKNOWN = 1e-3
 undetermined.
 Measured: flows without an outlet 0.2 to 1.7, held at a node 2e-16. Triangles of degree 2 with one
 quadrature point, 40 pairs of blocks, E 1e-6 to 1e11: 3 to 190; regular at most 6e-12, in tests of
-solvers and algebra 5e-10."""
+solvers, algebra, interface_laws and contact_solver 5e-10, in any_contacts 0 to 99 and 132 scenes of
+bodies that contact and friction alone hold 4e-12, in slender_contact 2e-8."""
 
 REFINED = 1e-15
 """Backward error of a direct solve from which it is refined.

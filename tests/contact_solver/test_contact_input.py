@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import rectangle
-from helpers import raises
+from helpers import raises, two_ranks
 from test_contact_bodies import Assembly
 
 import meshes
@@ -292,6 +292,21 @@ def test_failed_load_step(monkeypatch, sliding):
         np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-15)
     with raises(SolveError, "can't be halved: no value has changed .* since the problem was made"):
         free.problem([contact]).solve()
+
+
+@two_ranks()
+def test_cells_that_deform_without_a_stress():
+    """Triangles of degree 2 with one quadrature point, on which no load acts that shows it."""
+    scene = two(cell="triangle", degree=2)
+    low = [
+        [part.reconstruct(metadata={"quadrature_degree": 1}) for part in form.integrals()]
+        for form in scene.F
+    ]
+    contact = Contact(*faces(scene))
+    problem = ContactProblem(list(map(ufl.Form, low)), scene.u, bcs=scene.bcs, contacts=[contact])
+    scene.down.value = -0.03
+    with raises(SolveError, "found again from its loads; .* quadrature degree is too low"):
+        problem.solve()
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron", "tetrahedron"])
