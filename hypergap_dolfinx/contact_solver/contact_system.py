@@ -353,10 +353,10 @@ class ContactSystem(NonlinearSystem):
         self._reach = np.inf
         least = min(rows.closed for rows in self._rows)
         continuation = Continuation(self._comm, least)
-        self._largest, self._largest_terms = 0.0, np.zeros(1)
+        self._largest, self._largest_terms = np.zeros(1), np.zeros(1)
         self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
-        share, step, last = 1.0, 0, np.inf
+        share, step, self._last_unbalanced = 1.0, 0, np.inf
         while True:
             for rows in self._rows:
                 rows.update_geometry()
@@ -388,9 +388,9 @@ class ContactSystem(NonlinearSystem):
                     self._check_held()
                     return step
                 polished = True
-            converges, last = self._unbalanced < SHORTENED * last, self._unbalanced
-            if step >= STEPS and not converges:
+            if step >= STEPS and not self._converges:
                 raise SolveError(self._stalled(step))
+            self._last_unbalanced = self._unbalanced
             if self._num_free and step:
                 self._hold()
             if step:
@@ -493,7 +493,7 @@ class ContactSystem(NonlinearSystem):
                 self._right(), num_tied, self._fixed, nearness, guesses, self._reach
             )
 
-        floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * self._largest
+        floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * float(self._largest[-1])
         self._tangent.floor = floor
         found = self._solution(solve)
         if not found.is_solved and self._leaves_what_touches(start, stiffness):
@@ -656,7 +656,7 @@ class ContactSystem(NonlinearSystem):
 
     def _hold_too_much(self) -> list[FrictionRows]:
         """Contacts with sticking tractions beyond friction, as where its coefficient has fallen."""
-        nothing = ROUND_OFF_FORCES * self._largest
+        nothing = self._nothing()
         return [rows for rows in self._frictional if rows.holds_too_much(nothing)]
 
     def _assemble_what_moved(self):
@@ -773,12 +773,17 @@ class ContactSystem(NonlinearSystem):
         *found, jumps = np.split(squares, np.cumsum([len(part) for part in found[:-1]]))
         errors, values = found[:bodies], found[bodies:]
         apart, extent = self._of_couplings(left)
-        self._unbalanced = worst = np.sqrt(sum(error[0] for error in errors) + jumps.sum() + apart)
+        elastic = self._num_elastic
+        rest = jumps.sum() + apart + sum(error[0] for error in errors[elastic:])
+        error_of = np.sqrt([*(error[0] for error in errors[:elastic]), rest])
+        self._unbalanced = float(np.linalg.norm(error_of))
         self._stiffness()
         sizes = [L**2 @ part for L, part in zip(self._row_lengths, values, strict=True)]
-        least = sum(float(size[0]) for size in sizes) + extent
-        self._largest = max(self._largest, np.sqrt(least))  # its digits are lost when forces fall
-        nothing = ROUND_OFF_FORCES * self._largest
+        of_bodies = [float(size[0]) for size in sizes]
+        # Each body's round-off by itself: a stiff one's may be more than a soft one's forces
+        size_of = np.sqrt([*of_bodies[:elastic], sum(of_bodies) + extent])
+        self._largest = np.maximum(self._largest, size_of)  # its digits are lost when forces fall
+        nothing = self._nothing()
         # The same of other fields' equations, each field's by itself
         error, terms = (
             np.sqrt(np.concatenate([of[1:] for of in each])) for each in (errors, sizes)
@@ -792,9 +797,31 @@ class ContactSystem(NonlinearSystem):
         self._in_bodies = size = float(np.sqrt(size))
         if not (are_satisfied and all([rows.is_closed(nothing) for rows in self._rows])):
             return False
-        none = worst <= nothing
-        self._is_exact = bool(none) and not self._tied  # ties have gaps, too
-        return bool(none or worst <= self._rtol * size)
+        is_exact = (error_of <= ROUND_OFF_FORCES * self._largest).all()
+        self._is_exact = bool(is_exact) and not self._tied  # ties have gaps, too
+        known = self._largest.copy()
+        for i, depends in enumerate(self._depends[:elastic]):
+            known[i] += self._at_rest(i) * (depends.on_u and not self._converges)
+        beyond = np.linalg.norm(np.maximum(error_of - ROUND_OFF_FORCES * known, 0))
+        return bool(beyond <= self._rtol * size)
+
+    @property
+    def _converges(self) -> bool:
+        """True if the last Newton step has reduced the residual."""
+        return bool(self._unbalanced < SHORTENED * self._last_unbalanced)
+
+    def _at_rest(self, i: int) -> float:
+        """Forces that add up to zero in a body at rest, if its form isn't linear.
+
+        Its gradient is 1 + ∂u/∂X, with the round-off of 1: displacements have that of a facet.
+        """
+        facet = min(side.reference.size.min() for rows in self._rows for side in rows.sides)
+        return float(self._row_lengths[i][0, 0] * self._K[i].getSize()[0] ** 0.5 * facet)
+
+    def _nothing(self) -> float:
+        """Force of contact that is round-off: gaps have that of places, as in :meth:`_at_rest`."""
+        softest = min(map(self._at_rest, range(self._num_elastic)), default=0.0)
+        return ROUND_OFF_FORCES * float(self._largest[-1] + softest)
 
     def _balances_between(self) -> bool:
         """True if forces between those of this and of the last state balance; takes these then.

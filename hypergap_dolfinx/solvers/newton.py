@@ -50,6 +50,11 @@ class Dependence:
         self._geometry = compiled.mesh.geometry
         self._before: tuple[list[npt.NDArray], list[npt.NDArray]] | None = None
 
+    @property
+    def on_u(self) -> bool:
+        """True if the form depends on the solution."""
+        return bool(self._u)
+
     def forget(self):
         """Forget the last values."""
         self._before = None

@@ -25,7 +25,16 @@ class Blocks:
     """A block on another one, with a gap between them."""
 
     def __init__(
-        self, gap=0.0, held=True, degree=1, n=(4, 5), E=1.0, swap=False, walls=False, **options
+        self,
+        gap=0.0,
+        held=True,
+        degree=1,
+        n=(4, 5),
+        E=1.0,
+        swap=False,
+        walls=False,
+        large=False,
+        **options,
     ):
         spans = (((0, -1), (2, 0)), ((0.5, gap), (1.5, 1 + gap)))
         if walls:  # strain is uniform
@@ -38,7 +47,8 @@ class Blocks:
 
             mesh, ft = meshes.block(comm, (n[i], 2), place, cell="quadrilateral")
             V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
-            body = Elastic.on(V, (E, E), loaded=ft.find(meshes.TOP) if i else ())
+            loaded, moduli = ft.find(meshes.TOP) if i else (), [np.resize(E, 2)[i]] * 2
+            body = Elastic.on(V, moduli, large=large, loaded=loaded)
             if i == 1:
                 self.load = body.load
                 self.top = fem.Constant(mesh, default_scalar_type(0))
@@ -255,6 +265,25 @@ def test_nothing_holds():
         SolveError, "no solution beyond 0 % of the .*would have to pull at .*: body 1, that"
     ):
         scene.problem.solve()
+
+
+@pytest.mark.ranks(2)
+@two_ranks()
+def test_round_off_of_large_strain():
+    """Gradients of 1 + ∂u/∂X have the round-off of 1: bodies at rest, and stiff ones on soft."""
+    scene = Blocks(gap=0.1, large=True)
+    for scene.top.value, most in ((-0.2, 5), (0.0, 5), (0.0, 3), (0.0, 3)):
+        scene.problem.solve()
+        assert scene.problem.iterations <= most
+    assert scene.problem.halvings == 0
+    for stiff in ((1, 0), (0, 1)):
+        forces = []
+        for ratio in (8, 10):
+            scene = Blocks(large=True, E=10.0 ** (ratio * np.array(stiff)))
+            scene.top.value = -1e-3
+            scene.problem.solve()
+            forces.append(scene.contact.force(scene.problem)[1])
+        assert abs(forces[1] / forces[0] - 1) <= 1e-6
 
 
 @pytest.mark.parametrize("E", (1e-12, 1e11))
