@@ -565,6 +565,11 @@ class ContactRows:
         finer = np.minimum(size, self.sides[0].reference.size.max(initial=0))
         far, deep, leaning = self.state.opening.reaches(self.u, least * finer)
         p = self.spread(np.where(self.state.active, self.state.p, 0)).clip(min=0)
+        if self.has_compliance:  # surfaces are to overlap, up to the neighbouring vertices
+            given = self.spread(self._compliance * np.where(self.state.active, self.state.p, 0))
+            around = given.copy()
+            np.maximum.at(around, facets, given[facets].max(axis=1)[:, None])
+            far, deep = (np.maximum(part - around, 0) for part in (far, deep))
         found = [
             np.divide(part, of, out=np.zeros_like(part), where=of > 0)
             for part, of in ((np.where(p > 0, far, 0), size), (deep, finer))

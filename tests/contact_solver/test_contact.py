@@ -257,6 +257,17 @@ def test_gives_way(sliding):
     np.testing.assert_allclose(contact.rows.state.p, 0.01 / (1 + x**2), rtol=1e-6)
 
 
+@pytest.mark.parametrize("n", ((40, 5), (5, 40)))
+def test_overlaps_of_compliant_surfaces(n, caplog):
+    """Overlaps by c p are what a compliance is for, though longer than a facet."""
+    scene = Blocks(n=n, compliance=10.0)
+    scene.top.value = -0.15
+    with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+        scene.problem.solve()
+    assert 10 * scene.contact.pressures(scene.problem).max() > 0.1
+    assert not [r for r in caplog.records if "facets apart" in r.message or "overlap" in r.message]
+
+
 def test_nothing_holds():
     """A motion that contact can't hold is told, not solved; so is one that it is pulled from."""
     scene = Blocks(held=False)
