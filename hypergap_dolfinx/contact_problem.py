@@ -249,6 +249,7 @@ class ContactProblem(ContactSystem):
         revolution.tell(of_bodies, contacts, "contact")
         revolution.tell(of_bodies, ties, "tie")
         revolution.tell_couplings(forms, coupled)
+        self._made = True
 
     def _body(self, c: int, side: int, part: Component) -> int:
         """The body on one side of a contact."""

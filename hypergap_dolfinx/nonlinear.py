@@ -147,6 +147,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         self._snes.setKSP(self._solver.as_ksp(f"{petsc_options_prefix}step_"))
         with self._solver.options.in_use():
             self._snes.setFromOptions()
+        self._made = True
 
     def _release(self) -> list:
         return [self.__dict__.pop("_snes", None), *super()._release()]

@@ -160,6 +160,7 @@ class TiedProblem(TiedSystem):
         super().__init__(compiled, bcs, Joined(ties), solutions, coupled)
         self._solver = choice.create(self._system, solver, petsc_options_prefix, petsc_options)
         revolution.tell(a, self._pieces.ties, "tie")
+        self._made = True
 
     def assemble_matrix(self):
         """Assemble stiffness, springs and compliances into A. Collective."""

@@ -11,6 +11,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+PACKAGE = __name__.partition(".")[0]
+
 Given = npt.ArrayLike | fem.Constant | fem.Function | Callable[[npt.NDArray], Any]
 
 
@@ -26,15 +28,13 @@ class Settable:
         Raises:
             AttributeError: Another one, such as a misspelt name.
         """
-        ours = type(self).__module__.startswith(f"{__name__.split('.')[0]}.")
-        if ours and not name.startswith("_") and self.__dict__.get("_made", False):
+        ours = not name.startswith("_") and type(self).__module__.partition(".")[0] == PACKAGE
+        if ours and self.__dict__.get("_made", False):
             properties = {key: getattr(type(self), key) for key in dir(type(self))}
             can = [key for key, one in properties.items() if getattr(one, "fset", None)]
             if name not in can:
-                raise AttributeError(
-                    f"{name} of a {type(self).__name__} can't be set; "
-                    f"{', '.join(can) or 'nothing'} can."
-                )
+                advice = f"{', '.join(can)} can" if can else "nothing can: make another one"
+                raise AttributeError(f"{name} of a {type(self).__name__} can't be set; {advice}.")
         super().__setattr__(name, value)
 
 

@@ -20,6 +20,7 @@ from hypergap_dolfinx.algebra.rigid_motions import free_motions
 from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.errors import PrescribedSideError, SolveError
 from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
+from hypergap_dolfinx.interface_laws.given_values import Settable
 from hypergap_dolfinx.multipliers.interface import Interface, TiedInterfaces
 from hypergap_dolfinx.solvers.solver import Solver, System
 from hypergap_dolfinx.solvers.tolerances import UNKNOWN
@@ -77,7 +78,7 @@ def undetermined(system: System, solver: Solver, x: PETSc.Vec) -> bool:
     return not error <= UNKNOWN
 
 
-class TiedSystem(collective.Owner):
+class TiedSystem(collective.Owner, Settable):
     """Saddle-point system [K Bᵀ; B −C] [u; λ] = b, with K from forms, B and C from ties."""
 
     _solver: Solver

@@ -302,6 +302,8 @@ def test_names():
     for one, name in ((scene.body, "moment"), (scene.body, "u"), (scene.contact, "force")):
         with raises(AttributeError, f"^{name} of a .* can't be set; .* can"):
             setattr(one, name, 5.0)
+    with raises(AttributeError, "bcs of a ContactProblem can't be set; nothing can: make another"):
+        scene.problem.bcs = []
     with raises(AttributeError, "can't be set; anchors, force, prescribed, springs, torque can"):
         scene.body.hold = "x"
     with raises(ValueError, "held can't be changed later: make a rigid body with held='x'"):

@@ -88,6 +88,9 @@ def test_linear_forms(options):
         a.append(ufl.derivative(form, w, u))
         L.append(ufl.inner(fem.Constant(W.mesh, (0.0, 0.0)), v) * ufl.dx)
     reference = TiedProblem(a, L, bcs=bcs, ties=[tie])
+    for one in (problem, reference):
+        with pytest.raises(AttributeError, match="^bcs of a .* can't be set; nothing can"):
+            one.bcs = bcs
     for u, v in zip(us, reference.solve(), strict=True):
         assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-11  # a condition of 1e4
     difference = problem.multipliers(tie) - reference.multipliers(tie)
