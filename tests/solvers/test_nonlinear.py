@@ -89,7 +89,7 @@ def test_linear_forms(options):
         L.append(ufl.inner(fem.Constant(W.mesh, (0.0, 0.0)), v) * ufl.dx)
     reference = TiedProblem(a, L, bcs=bcs, ties=[tie])
     for one in (problem, reference):
-        with pytest.raises(AttributeError, match="^bcs of a .* can't be set; nothing can"):
+        with pytest.raises(AttributeError, match=r"^bcs of a .* can't be set; nothing can"):
             one.bcs = bcs
     for u, v in zip(us, reference.solve(), strict=True):
         assert np.abs(u.x.array - v.x.array).max(initial=0) <= 1e-11  # a condition of 1e4
