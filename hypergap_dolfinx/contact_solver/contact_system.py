@@ -76,8 +76,9 @@ class ContactSystem(NonlinearSystem):
 
            residual isn't finite ───────────────→ the step is shortened, up to TRIALS times
            step turns back, with negative work ─→ it is taken backwards, up to PATIENCE times
-           PATIENCE + 2 steps along one line ───→ it is taken to their limit
-           TRIALS steps, and forces along the
+           stiffness was added, and forces along
+           the step act still at its end ───────→ it is lengthened to where they vanish
+           PATIENCE steps, and forces along the
            next are reversed by its end ────────→ it is shortened to where they vanish
            STEPS steps, the last one of no use ─→ the load step fails
            it fails ────────────────────────────→ once more as the last one goes on; then halved
@@ -363,13 +364,13 @@ class ContactSystem(NonlinearSystem):
             self._hooks("before_step")
             self._evaluate(self._x, self._b)
             if not self._is_finite():
-                share *= SHORTENED
+                share *= continuation.shorten()
                 if way is None or abs(share) < SHORTENED**TRIALS:
                     raise SolveError(self._inverted())
                 self._go(*way, share)
                 continue
-            if way is not None and (part := continuation.shortened(self._left_of_bodies)) < 1:
-                share *= part
+            if way is not None and (factor := continuation.factor(self._left_of_bodies)) != 1:
+                share, self._reach = factor * share, factor * self._reach
                 self._go(*way, share)
                 continue
             jump = self._jump()
@@ -401,10 +402,11 @@ class ContactSystem(NonlinearSystem):
                 except ValueError as error:  # points of the residual needn't see cells inverted
                     raise SolveError(self._inverted()) from error
             step, self._iterations = step + 1, self._iterations + 1
-            way, work = self._step(jump, stiffness)
+            way, work, is_short = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            share = continuation.share(moves, work, self._left_of_bodies if jump is None else None)
+            forces = self._left_of_bodies if jump is None else None
+            share = continuation.share(moves, work, forces, is_short)
             if share != 1:
                 self._go(*way, share)
 
@@ -468,7 +470,7 @@ class ContactSystem(NonlinearSystem):
 
     def _step(
         self, jump: Sequence[npt.NDArray[np.float64]] | None, stiffness: float
-    ) -> tuple[tuple[SystemState, SystemState], float]:
+    ) -> tuple[tuple[SystemState, SystemState], float, bool]:
         """Solve the linearised contact problem, and take its solution. Collective.
 
         Args:
@@ -477,7 +479,8 @@ class ContactSystem(NonlinearSystem):
 
         Returns:
             The states before and after, and the work of the increments of forces on those of
-            displacements: Hill's second-order work, negative where an equilibrium isn't stable.
+            displacements: Hill's second-order work, negative where an equilibrium isn't stable;
+            and whether stiffness was added.
         """
         start = self._state()
         last = [(rows.state.p, rows.clearance) for rows in self._rows]
@@ -514,7 +517,7 @@ class ContactSystem(NonlinearSystem):
         work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
-        return (start, self._state()), work
+        return (start, self._state()), work, found.is_short
 
     def _solution(self, solve: Callable[[active_set.Guesses], Solution]) -> Solution:
         """Solution of the linearised problem from the present working sets. Collective."""

@@ -8,16 +8,16 @@ then snap to another branch, which Newton steps from both sides of the kink neve
 an end the Newton step leads back to it, and the tangent does negative work on the step. Then a step
 of the same length is taken backwards.
 
-Newton steps d along one line are a sequence whose limit follows from two of them (Aitken's Δ²
-process). If a share α of one step was taken, and the next step is r times that step, d vanishes at
-the share α / (1 − r). So steps to and fro, as from a stiffness that changes within the step, are
-halved. Steps that creep on, as from stiffness added to a tangent that isn't positive, are
-lengthened.
+Along other steps d there is a line search for the place where the forces along them, dᵀR, vanish.
+R has the step's own pressures. It goes by secants, and ends where less than half of the forces is
+left, or reversed.
 
-Newton's method converges in a few steps, or its steps can go on without an end. So the first ones
-are taken whole, also where forces grow for a while, as in a snap-through. Afterwards there is a
-line search: a step d at whose end forces along it are reversed, dᵀR(u + d) ≥ −½ dᵀR(u) > 0, is
-shortened to where they vanish, by a secant. R has the step's own pressures.
+- Where stiffness was added to a tangent that isn't positive, steps are too short, and at their ends
+  the forces may even have grown: a body snaps. Such a step is lengthened, up to the longest step of
+  the load step.
+- Newton's method converges in a few steps, or its steps can go on without an end. So the first ones
+  are taken whole also where forces along them are reversed: a slender body that turns is stretched,
+  and the next step takes that back. Later ones are shortened.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,13 +27,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import (
-    IN_LINE,
-    OSCILLATES,
-    PATIENCE,
-    SHORTENED,
-    TRIALS,
-)
+from hypergap_dolfinx.contact_solver.tolerances import OSCILLATES, PATIENCE, SHORTENED
 
 Moves = Sequence[npt.NDArray[np.float64]]
 
@@ -48,54 +42,76 @@ class Continuation:
             comm: Communicator of the bodies.
             least: Displacement treated as zero: shorter steps have no direction.
         """
-        self._comm, self._num_back, self._square = comm, 0, 0.0
-        self._least, self._along = least, 0.0
-        self._num_steps, self._num_in_line, self._share = 0, 0, 1.0
+        self._comm, self._least = comm, least
+        self._num_steps, self._num_back, self._is_short = 0, 0, False
+        self._square, self._longest, self._along = 0.0, 0.0, 0.0
+        self._last_place, self._place = 0.0, 1.0
         self._last: Moves | None = None
 
-    def share(self, moves: Moves, work: float, forces: Callable[[], Moves] | None = None) -> float:
-        """Share of the step to take, negative if backwards. Collective.
+    def share(
+        self,
+        moves: Moves,
+        work: float,
+        forces: Callable[[], Moves] | None = None,
+        is_short: bool = False,
+    ) -> float:
+        """Share of the step to take first: 1, or -1 if backwards. Collective.
 
         Args:
             moves: This rank's increments of each body's displacements.
             work: Second-order work of the step.
             forces: Gives this rank's residual of each body at the step's start, with its pressures;
-                None if :meth:`shortened` isn't to look at the step.
+                None for a step without a line search.
+            is_short: True if stiffness was added for this step.
         """
         last = moves if self._last is None else self._last
-        self._num_steps += 1
-        left = forces() if forces and self._num_steps > TRIALS else ()
+        self._num_steps, self._is_short = self._num_steps + 1, is_short
+        left = forces() if forces and (is_short or self._num_steps > PATIENCE) else ()
         sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves, left)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         (product, square, along), before = sums, self._square
-        turned = product < OSCILLATES * before
-        in_line = before > 0 and abs(product) > IN_LINE * np.sqrt(square * before)
-        self._num_in_line = self._num_in_line + 1 if in_line else 0
-        moves_on = square > self._least**2
-        share = 1.0
-        if moves_on and turned and work < 0 and self._num_back < PATIENCE:
-            share, self._num_back, self._num_in_line = -1.0, self._num_back + 1, 0
-        elif moves_on and self._num_in_line > PATIENCE:
-            falls = 1 / self._share - product / before  # over a whole step
-            share = min(1 / falls, self._share / SHORTENED) if falls > 0 else 1.0
-        self._last, self._square = [share * part for part in moves], share**2 * square
-        self._share, self._along = share, along if share == 1 else 0.0
-        return share
+        self._last, self._square, self._along = moves, square, 0.0
+        self._last_place, self._place = 0.0, 1.0
+        self._longest = max(self._longest, square)
+        if square <= self._least**2:
+            return 1.0
+        if product < OSCILLATES * before and work < 0 and self._num_back < PATIENCE:
+            self._num_back, self._last = self._num_back + 1, [-part for part in moves]
+            return -1.0
+        self._along = along
+        return 1.0
 
-    def shortened(self, forces: Callable[[], Moves]) -> float:
-        """Part of the last step to keep; 1 if the line search doesn't shorten it. Collective.
+    def factor(self, forces: Callable[[], Moves]) -> float:
+        """Factor by which the line search changes the last step; 1 where it ends. Collective.
 
         Args:
-            forces: Gives this rank's residual of each body at its end, with its pressures.
+            forces: Gives this rank's residual of each body at the step's end, with its pressures.
         """
         if self._along >= 0:
             return 1.0
         assert self._last is not None
-        along, start = self._comm.allreduce(sum(map(np.dot, self._last, forces()))), self._along
-        self._along = 0.0
-        if along <= OSCILLATES * start:
+        place, last_place, start, self._along = self._place, self._last_place, self._along, 0.0
+        along = self._comm.allreduce(sum(map(np.dot, self._last, forces()))) / place
+        left = along / start
+        if self._is_short and left > -OSCILLATES:
+            if self._square > SHORTENED**2 * self._longest:
+                return 1.0
+            self._along = along
+        elif left > OSCILLATES:
             return 1.0
-        part = float(max(start / (start - along), SHORTENED))
-        self._last = [part * of for of in self._last]
-        self._share, self._square = part * self._share, part**2 * self._square
-        return part
+        zero = last_place + (place - last_place) / max(1 - left, SHORTENED**2)
+        factor = float(np.clip(zero / place, SHORTENED, 1 / SHORTENED))
+        self._last_place = place
+        self._scale(factor)
+        return factor
+
+    def shorten(self) -> float:
+        """Factor that shortens a step at whose end there is no residual; its search ends."""
+        self._along = 0.0
+        self._scale(SHORTENED)
+        return SHORTENED
+
+    def _scale(self, factor: float):
+        """Take another length of the last step, by this factor."""
+        self._last = [factor * part for part in self._last or []]
+        self._square, self._place = factor**2 * self._square, factor * self._place

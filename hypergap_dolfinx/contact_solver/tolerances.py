@@ -57,43 +57,37 @@ Measured: ironing, Hertz: matrices that change by 1e-10 to 3e-5 take 2 to 4 iter
 
 OSCILLATES = -0.5
 """Part of the last Newton step that the next one takes back, as a negative number, from which they
-oscillate; part of the forces along a step that is reversed at its end, from which a line search
-shortens it.
+oscillate; part of the forces along a step that is reversed at its end, or left there, from which a
+line search changes its length.
 Measured: flat die, μ = 0.5: 126 Newton steps in 32 load steps; 160 and a halving with the cosine
 between steps, which also turns steps back that become shorter: then ironing in space takes up to 13
 in a load step, not 9, and a rigid saw 46, not 21. With 0 the saw takes 28, and 12 random scenes of
 the plane that take many steps 898 for 858. Forces, four such scenes: two solved, with -1 one."""
 
-IN_LINE = 0.98
-"""Cosine between Newton steps, or its negative, from which they are along one line.
-Measured: any_contacts, scenes 439, 547, 166: 159 Newton steps and one halving, 379 and 6 without;
-slender_contact 387, 386 without."""
-
 PATIENCE = 3
 """Newton steps of one kind after which another follows: steps backwards in a load step, where the
-tangent's work is negative; steps in a row along one line, before the next goes to their limit;
+tangent's work is negative; steps of a load step whose length isn't shortened by a line search;
 steps in a row of which the problem has no solution, before a body is said to leave.
 Measured: backwards, flat die, μ = 0.5: 81 Newton steps in 24 load steps with 1 and 3, 143 and two
-halvings without; along a line, slender_contact: 387, with one fewer 389; without a solution, 127
-tests of contact_solver: 515, with 6 554; with 1 one of them fails."""
+halvings without; shortened from the first, 4th and 7th step on, slender_contact: 404, 389 and 391,
+and 134 scenes of any_contacts have 68, 64 and 81 load steps of more than 12 Newton steps; without a
+solution, 127 tests of contact_solver: 515, with 6 554; with 1 one of them fails."""
 
 SHORTENED = 0.25
 """Factor by which a step is shortened at whose end the residual is no number, the least one of the
 line search, part of the residual that a step leaves if the load step is to go on, and by whose
-inverse a step may be longer than the last one, and an added share of stiffness grows.
+inverse a line search lengthens a step, a step may be longer than the last one, and an added share
+of stiffness grows.
 Measured: shortened by 0.5: nothing changes in 127 tests of contact_solver; longer: any_contacts,
 scenes 13 and 92: 149 Newton steps, 199 without a limit; added: 11 scenes of slender and round
 bodies: growth by 2, 4, 16 takes 360, 360, 356 Newton steps."""
 
 TRIALS = 6
-"""Newton steps of a load step without a line search; times that a step is shortened, or halved in
-the small problem, or an added share increased; half the number of compliances along a path; rounds
-of block pivoting without fewer wrong signs before Lemke's method, and its pivots over the square of
-the rows.
-Measured: slender_contact without a line search before the first, 7th and 11th step 425, 387 and 387
-Newton steps; 12 scenes of the plane that take many steps: from the 4th on 10 solved, from the 7th
-12; shortened up to 3 and 12 times, halved up to 4 and 30 times: nothing changes in the same tests
-and scenes; without a share that grows one of the scenes fails."""
+"""Times that a step is shortened, or halved in the small problem, or an added share increased; half
+the number of compliances along a path; rounds of block pivoting without fewer wrong signs before
+Lemke's method, and its pivots over the square of the rows.
+Measured: shortened up to 3 and 12 times, halved up to 4 and 30 times: nothing changes in the same
+tests and scenes; without a share that grows one of the scenes fails."""
 
 ADDED = 0.05
 """First share of the stiffness without stress that is added where a tangent isn't positive.

@@ -445,15 +445,39 @@ def test_steps_backwards():
     assert sum(np.abs(np.array(found) - 1.55) > 1e-12) <= 4
 
 
-@pytest.mark.parametrize("slope", (0.05, 1.99, 2.0))
-def test_steps_in_line(slope):
-    """Steps with a tangent that is twenty times too stiff, or too soft by half: none is in vain."""
-    x, continuation, shares = np.array([1.0, 0.5]), Continuation(MPI.COMM_SELF, 1e-12), []
-    for _ in range(10):
-        shares.append(continuation.share([slope * x], 1.0))
-        x = x - shares[-1] * slope * x
-    assert np.linalg.norm(x) <= 1e-9
-    assert shares[:4] == [1.0] * 4 and shares[4] != 1  # the first one is in line with none
+def searched(continuation, x, step, force):
+    """Place after a step, and after its line search."""
+    at = x + step
+    while (factor := continuation.factor(lambda: [force(at)])) != 1:
+        step = factor * step
+        at = x + step
+    return at
+
+
+@pytest.mark.parametrize("is_short", (True, False))
+def test_steps_lengthened(is_short):
+    """From an unstable equilibrium, steps with added stiffness are lengthened."""
+    x, num, continuation = np.array([1e-4]), 0, Continuation(MPI.COMM_SELF, 1e-12)
+    continuation.share([np.ones(1)], 1.0)  # the load step's own one, the longest
+    while abs(force := x**3 - x) > 1e-12:
+        slope, num = 3 * x**2 - 1, num + 1
+        added = 4.0 if slope < 0 else 0.0
+        step = -force / (slope + added)
+        assert continuation.share([step], 1.0, lambda F=force: [F], is_short and added > 0) == 1
+        x = searched(continuation, x, step, lambda at: at**3 - at)
+    assert abs(x - 1) <= 1e-10
+    assert num <= 8 if is_short else num > 20
+
+
+def test_lengthened_too_far():
+    """A search ends where a lengthened step has led to no number."""
+    continuation, share = Continuation(MPI.COMM_SELF, 1e-12), 1.0
+    continuation.share([np.array([100.0])], 1.0)
+    continuation.share([np.ones(1)], 1.0, lambda: [-np.ones(1)], True)
+    for factor in (continuation.factor(lambda: [-0.8 * np.ones(1)]), continuation.shorten()):
+        share *= factor
+    assert 0 < share < 2
+    assert continuation.factor(lambda: [-0.9 * np.ones(1)]) == 1
 
 
 def test_steps_in_cycles(monkeypatch):
@@ -472,11 +496,11 @@ def test_steps_in_cycles(monkeypatch):
             F = force(x)
             step = -np.linalg.solve(K + (m.T * (k * (n @ x > limits))) @ n, F)
             step *= continuation.share([step], 1.0, lambda F=F: [F])
-            x = x + continuation.shortened(lambda x=x + step: [force(x)]) * step
+            x = searched(continuation, x, step, force)
         return np.linalg.norm(force(x))
 
     assert after(8) <= 1e-12
-    monkeypatch.setattr(Continuation, "shortened", lambda self, forces: 1.0)
+    monkeypatch.setattr(Continuation, "factor", lambda self, forces: 1.0)
     assert after(60) > 0.1
 
 
