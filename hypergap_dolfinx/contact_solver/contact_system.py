@@ -161,6 +161,7 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
+        self._last_unbalanced, self._left_to_go = np.inf, 0.0
         self._before: tuple[list, list, list] | None = None  # values, residual and forces
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
@@ -259,6 +260,7 @@ class ContactSystem(NonlinearSystem):
 
     def _forget(self):
         super()._forget()
+        self._last_unbalanced = np.inf
         self._tangent.destroy()
 
     def _release(self) -> list:
@@ -357,7 +359,7 @@ class ContactSystem(NonlinearSystem):
         self._largest, self._largest_terms = np.zeros(1), np.zeros(1)
         self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
-        share, step, self._last_unbalanced = 1.0, 0, np.inf
+        share, step = 1.0, 0
         while True:
             for rows in self._rows:
                 rows.update_geometry()
@@ -405,7 +407,7 @@ class ContactSystem(NonlinearSystem):
             way, work, is_short = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            forces = self._left_of_bodies if jump is None else None
+            forces = self._left_of_bodies if self._left_to_go <= least else None
             share = continuation.share(moves, work, forces, is_short)
             if share != 1:
                 self._go(*way, share)
@@ -682,7 +684,9 @@ class ContactSystem(NonlinearSystem):
             np.where(held, wanted[: len(held)] - u.x.array[: len(held)], 0)
             for u, wanted, held in zip(self._u, self._goal, self._held, strict=True)
         ]
-        return found if self._comm.allreduce(any([part.any() for part in found]), MPI.LOR) else None
+        largest = max(float(np.abs(part).max(initial=0)) for part in found)
+        self._left_to_go = self._comm.allreduce(largest, MPI.MAX)
+        return found if self._left_to_go else None
 
     def _hold(self):
         """Enlarge active sets until they hold, unless those that held before act. Collective."""
@@ -800,17 +804,16 @@ class ContactSystem(NonlinearSystem):
         self._in_bodies = size = float(np.sqrt(size))
         if not (are_satisfied and all([rows.is_closed(nothing) for rows in self._rows])):
             return False
-        is_exact = (error_of <= ROUND_OFF_FORCES * self._largest).all()
-        self._is_exact = bool(is_exact) and not self._tied  # ties have gaps, too
         known = self._largest.copy()
         for i, depends in enumerate(self._depends[:elastic]):
             known[i] += self._at_rest(i) * (depends.on_u and not self._converges)
         beyond = np.linalg.norm(np.maximum(error_of - ROUND_OFF_FORCES * known, 0))
+        self._is_exact = not beyond and not self._tied  # ties have gaps, too
         return bool(beyond <= self._rtol * size)
 
     @property
     def _converges(self) -> bool:
-        """True if the last Newton step has reduced the residual."""
+        """True if the residual is less than before the last Newton step, or the load step."""
         return bool(self._unbalanced < SHORTENED * self._last_unbalanced)
 
     def _at_rest(self, i: int) -> float:

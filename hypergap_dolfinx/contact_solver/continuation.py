@@ -73,7 +73,8 @@ class Continuation:
         self._last, self._square, self._along = moves, square, 0.0
         self._last_place, self._place = 0.0, 1.0
         self._longest = max(self._longest, square)
-        if square <= self._least**2:
+        largest = max((float(np.abs(part).max(initial=0)) for part in moves), default=0.0)
+        if self._comm.allreduce(largest, MPI.MAX) <= self._least:
             return 1.0
         if product < OSCILLATES * before and work < 0 and self._num_back < PATIENCE:
             self._num_back, self._last = self._num_back + 1, [-part for part in moves]
