@@ -381,8 +381,6 @@ class ContactSystem(NonlinearSystem):
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
                 rows.start_set(stiffness, zero)
-            if self._num_free and step == 0:
-                self._hold()  # else what nothing touches or loads would be accepted where it is
             is_balanced = self._balances() or self._balances_between()
             self._record(step)
             self._interrupts.check()
@@ -394,7 +392,7 @@ class ContactSystem(NonlinearSystem):
             if step >= STEPS and not self._converges:
                 raise SolveError(self._stalled(step))
             self._last_unbalanced = self._unbalanced
-            if self._num_free and step:
+            if self._num_free:
                 self._hold()
             if step:
                 for stress in self._stresses:

@@ -425,6 +425,31 @@ def test_beam_on_rollers():
     assert abs(left + right - 1.4 * 0.008 * np.sign(left)) <= 1e-9
 
 
+@two_ranks()
+def test_bending_between_clearances():
+    """A beam that nothing touches stays where it is; then four edges bend it there."""
+    beam = rectangle((24, 3), (-3, -0.25), (3, 0.25))
+    elastic = Elastic.on(beam.V, (1.0, 1.0), large=True)
+    edges, contacts = [], []
+    for x, up in ((-2.5, -1), (2.5, -1), (-1, 1), (1, 1)):
+        y = up * 0.36
+        edge = rectangle((2, 1), (x - 0.15, y - 0.1), (x + 0.15, y + 0.1))
+        edges.append(fem.Function(edge.V))
+        tags = (meshes.TOP, meshes.BOTTOM)[::-up]
+        contacts.append(Contact((edge.V, edge.facets(tags[0])), (beam.V, beam.facets(tags[1]))))
+    u = [*edges, elastic.u]
+    problem = ContactProblem([None] * 4 + [elastic.F], u, contacts=contacts)
+    for down in (0.001, 0.01, 0.03):
+        for edge in edges[2:]:
+            edge.x.array[1::2] = -down
+        problem.solve()
+        along = elastic.u.x.array[::2]
+        assert np.abs(along).max(initial=0) <= (1e-12 if down < 0.02 else 0.005), down
+    forces = [contact.force(problem, on=elastic.u)[1] for contact in contacts]
+    np.testing.assert_allclose(forces, np.array((1, 1, -1, -1)) * forces[0], rtol=1e-6)
+    assert forces[0] == pytest.approx(1.009e-4, rel=0.01)
+
+
 @pytest.mark.parametrize("whole", (0, 1))
 def test_finds_what_faces(whole):
     """All of a body's boundary given, what faces away or beside has no part in it."""
