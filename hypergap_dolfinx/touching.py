@@ -31,8 +31,8 @@ from hypergap_dolfinx.tolerances import (
 )
 
 LOG = logging.getLogger("hypergap_dolfinx")
-FLAT, CURVED, DISTANCE, CLEARANCE, OVERLAP, UNEXPLAINED = (
-    "flat", "curved", "distance", "clearance", "overlap", "unexplained",
+FLAT, CURVED, DISTANCE, CLEARANCE, OVERLAP, EDGE, UNEXPLAINED = (
+    "flat", "curved", "distance", "clearance", "overlap", "edge", "unexplained",
 )  # fmt: skip
 
 
@@ -59,7 +59,8 @@ class Touching(_Sides):
     surfaces explains, or the surfaces cross within each facet.
     ``"distance"``: no more than the given distance. For facets that were left out ``"clearance"``:
     no sign that the surfaces meet; ``"overlap"``: the bodies overlap, by no more than the size of
-    the smaller facet; ``"unexplained"``: the surfaces may meet."""
+    the smaller facet; ``"edge"``: the surfaces end on either side of a curve, and overlap by no
+    more than its chords explain; ``"unexplained"``: the surfaces may meet."""
     area: float
     """Common area of the facets, in 2D their common length."""
     numbers: tuple[int, int]
@@ -133,6 +134,8 @@ class _Facing:
     """Mask of pairs where at least one surface is curved."""
     area: npt.NDArray[np.float64]
     """Common area."""
+    points: npt.NDArray[np.float64]
+    """Vertices of the common part, some of them repeated, ``(num_pairs, num_points, n)``."""
 
     @property
     def apart(self) -> npt.NDArray[np.float64]:
@@ -187,8 +190,9 @@ def find_touching(
     """Find touching bodies and their exterior facets there. Collective.
 
     Two facets touch if their normals are opposite and their projections along the normals overlap;
-    facet sizes don't matter. Facets that share only an edge or a point don't touch. Each connected
-    part of a mesh is a body. A body isn't compared with itself.
+    facet sizes don't matter. Facets that share only an edge or a point don't touch, nor do those
+    on either side of a curve that overlap by no more than its chords' sag. Each connected part of a
+    mesh is a body. A body isn't compared with itself.
 
     Args:
         spaces: A Lagrange space on each mesh, or a component of a mixed space, ``W.sub(0)``. All
@@ -359,6 +363,8 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
             continue
         if not len(facing.pair):
             continue
+        edge = mask & _at_edges(parts, simplices, facing, facets)
+        mask, may = mask & ~edge, may & ~edge
         known = [np.isin(numbers, numbers[mask]) for numbers in facets]
         left = ~(known[0] & known[1])
         sides = [
@@ -368,6 +374,7 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
             (k, np.unique(numbers[left])) for (k, _), numbers in zip(parts, facets, strict=True)
         ]
         why = UNEXPLAINED if (may | known[0] | known[1])[left].any() else CLEARANCE
+        why = EDGE if edge[left].all() else why
         found.append((_pair(sides, facing[mask]), _pair(beside, facing[left], why)))
     return found
 
@@ -439,6 +446,92 @@ def _with_fans(body: Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[n
         facets = more
 
 
+def _at_edges(parts, simplices, facing: "_Facing", facets) -> npt.NDArray[np.bool_]:
+    """Mask of pairs in regions between two edges of faces that the meshes' chords explain.
+
+    Chords of a hole lie in the hole: a face around it overlaps with one that fills it by up to
+    their sag, though both share but a curve. In such a region each point is that near to edges of
+    both faces, and the faces lie on opposite sides of these.
+    """
+    if facing.points.shape[2] == 2 or not len(facing.pair):
+        return np.zeros(len(facing.pair), dtype=bool)
+    region = facing.regions(facets)
+    rims = [_rims(body, s) for (_, body), s in zip(parts, simplices, strict=True)]
+    most = np.maximum(*(rim.sag.max(axis=1, initial=0) for rim in rims))
+    within = np.zeros(region.max() + 1, dtype=bool)
+    within[region] = True
+    np.logical_and.at(within, region, (rims[0].sag > 0).any(1) & (rims[1].sag > 0).any(1))
+    some = np.flatnonzero(within[region])
+    sides = np.einsum("pim,pjm->pij", *(rim.outwards[some] for rim in rims))
+    near0, near1 = (
+        rim.near(some, facing.points[some], body.normals[s[some]], most[some])
+        for rim, (_, body), s in zip(rims, parts, simplices, strict=True)
+    )
+    both = near0[..., None] & near1[:, :, None]  # (pair, point, edge, edge)
+    opposite = (both & (sides < 0)[:, None]).any(axis=(2, 3))
+    along = (both & (sides > 0)[:, None]).any(axis=(2, 3))
+    np.logical_and.at(within, region[some], (opposite & ~along).all(axis=1))
+    return within[region]
+
+
+class _Rims(NamedTuple):
+    """Edges of faces at the vertices of triangles."""
+
+    start: npt.NDArray[np.float64]
+    """Starting points, ``(num, num_edges, 3)``."""
+    along: npt.NDArray[np.float64]
+    """Vectors from there to the ends."""
+    outwards: npt.NDArray[np.float64]
+    """Vectors across the edges, out of the face."""
+    sag: npt.NDArray[np.float64]
+    """Distances of the curves from the edges, 0 of straight ones, ``(num, num_edges)``."""
+
+    def near(self, some, points, normals, distance) -> npt.NDArray[np.bool_]:
+        """Mask of points, ``(num, num_points, 3)``, up to a distance from curved edges."""
+        along = self.along[some][:, None]
+        apart = points[:, :, None] - self.start[some][:, None]
+        length = np.einsum("pqem,pqem->pqe", along, along)
+        s = np.einsum("pqem,pqem->pqe", apart, along) / np.where(length > 0, length, 1)
+        apart = apart - np.clip(s, 0, 1)[..., None] * along
+        height = np.einsum("pqem,pm->pqe", apart, normals)
+        across = np.linalg.norm(apart - height[..., None] * normals[:, None, None], axis=3)
+        return (across <= distance[:, None, None]) & (self.sag[some] > 0)[:, None]
+
+
+def _rims(body: Boundary, simplices: npt.NDArray[np.intp]) -> _Rims:
+    """Edges where the faces of triangles end, at the triangles' vertices."""
+    beside = np.flatnonzero(np.isin(body.nodes, body.nodes[simplices]).any(axis=1))
+    nodes, normals, x = body.nodes[beside], body.normals[beside], body.x[beside]
+    edges = np.stack((nodes, np.roll(nodes, -1, axis=1)), axis=2).reshape(-1, 2)
+    along = (np.roll(x, -1, axis=1) - x).reshape(-1, 3)
+    order = np.lexsort(np.sort(edges, axis=1).T)
+    same = (np.diff(np.sort(edges, axis=1)[order], axis=0) == 0).all(axis=1)
+    a, b = order[:-1][same], order[1:][same]
+    corner = np.einsum("ei,ei->e", normals[a // 3], normals[b // 3]) < np.cos(CORNER_ASSEMBLY)
+    own, wall = np.append(a[corner], b[corner]), np.append(b[corner], a[corner])
+    t = along[own]
+    length = np.linalg.norm(t, axis=1)
+    theta = np.einsum("ei,eij,ej->e", t, body.curvature[beside[wall // 3]], t) / length
+    theta = np.where(theta > FILE_DIGITS, np.minimum(theta, CORNER_ASSEMBLY), 0)
+    sag = length / 2 * np.tan(theta / 4)
+    outwards = np.cross(t, normals[own // 3])
+    # By their vertices
+    at = edges[own].ravel()
+    order = np.argsort(at, kind="stable")
+    corners = body.nodes[simplices]
+    first, last = (np.searchsorted(at[order], corners, side=side) for side in ("left", "right"))
+    places = first[..., None] + np.arange((last - first).max(initial=1))
+    known = places < last[..., None]
+    edge = np.append(order, 0)[np.where(known, places, -1)].reshape(len(simplices), -1) // 2
+    if not len(own):
+        zero = np.zeros((len(simplices), edge.shape[1], 3))
+        return _Rims(zero, zero, zero, zero[..., 0])
+    face = np.einsum("pei,pi->pe", normals[own // 3][edge], body.normals[simplices])
+    known = known.reshape(edge.shape) & (face >= np.cos(CORNER_ASSEMBLY))
+    start = x.reshape(-1, 3)[own]
+    return _Rims(start[edge], t[edge], outwards[edge], np.where(known, sag[edge], 0))
+
+
 def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
     """Fan numbers of the corners of triangles, and their nodes.
 
@@ -499,6 +592,7 @@ def _facing(a: Boundary, b: Boundary, reach: Reach) -> _Facing:
         curved=(np.abs(apart) <= sags + near[keep, None]).all(axis=1),
         bends=a.turn + b.turn > FILE_DIGITS,
         area=common[keep] / (a.x.shape[2] - 1),
+        points=points[keep, :-1],
     )
 
 
