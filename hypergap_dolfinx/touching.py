@@ -349,6 +349,7 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
 
     boxes = [body.boxes(body.most if distance is None else distance) for _, body in bodies]
     hulls = np.array([(b[:, 0].min(axis=0), b[:, 1].max(axis=0)) for b in boxes])
+    rims = [_Rims.of(body) for _, body in bodies]
     found = []
     for i, j in meeting(hulls, hulls):
         if i >= j:
@@ -363,7 +364,8 @@ def _all_pairs(bodies: list[tuple[int, Boundary]], distance: float | None):
             continue
         if not len(facing.pair):
             continue
-        edge = mask & _at_edges(parts, simplices, facing, facets)
+        normals = [body[s].normals for (_, body), s in zip(parts, simplices, strict=True)]
+        edge = mask & _at_edges((rims[i], rims[j]), normals, facing, facets)
         mask, may = mask & ~edge, may & ~edge
         known = [np.isin(numbers, numbers[mask]) for numbers in facets]
         left = ~(known[0] & known[1])
@@ -446,90 +448,99 @@ def _with_fans(body: Boundary, simplices: npt.NDArray[np.intp]) -> npt.NDArray[n
         facets = more
 
 
-def _at_edges(parts, simplices, facing: "_Facing", facets) -> npt.NDArray[np.bool_]:
+def _at_edges(rims: Sequence["_Rims"], normals, facing: "_Facing", facets):
     """Mask of pairs in regions between two edges of faces that the meshes' chords explain.
 
     Chords of a hole lie in the hole: a face around it overlaps with one that fills it by up to
     their sag, though both share but a curve. In such a region each point is that near to edges of
     both faces, and the faces lie on opposite sides of these.
+
+    Args:
+        rims: Edges of faces of both bodies.
+        normals: Normals of the simplices of both bodies, ``(num_pairs, n)`` each.
+        facing: Pairs that face each other.
+        facets: Facet numbers of both sides, ``(num_pairs,)`` each.
+
+    Returns:
+        ``(num_pairs,)``.
     """
-    if facing.points.shape[2] == 2 or not len(facing.pair):
+    if not all(len(rim.sag) for rim in rims) or not len(facing.pair):
         return np.zeros(len(facing.pair), dtype=bool)
+    most = max(rim.sag.max() for rim in rims)
+    found = [rim.nearest(facing.points, n, most) for rim, n in zip(rims, normals, strict=True)]
+    (apart0, edge0), (apart1, edge1) = found
+    sag = np.maximum(rims[0].sag[edge0], rims[1].sag[edge1])
+    away = np.einsum("pqi,pqi->pq", rims[0].outwards[edge0], rims[1].outwards[edge1]) < 0
+    within = (away & (np.maximum(apart0, apart1) <= sag)).all(axis=1)
     region = facing.regions(facets)
-    rims = [_rims(body, s) for (_, body), s in zip(parts, simplices, strict=True)]
-    most = np.maximum(*(rim.sag.max(axis=1, initial=0) for rim in rims))
-    within = np.zeros(region.max() + 1, dtype=bool)
-    within[region] = True
-    np.logical_and.at(within, region, (rims[0].sag > 0).any(1) & (rims[1].sag > 0).any(1))
-    some = np.flatnonzero(within[region])
-    sides = np.einsum("pim,pjm->pij", *(rim.outwards[some] for rim in rims))
-    near0, near1 = (
-        rim.near(some, facing.points[some], body.normals[s[some]], most[some])
-        for rim, (_, body), s in zip(rims, parts, simplices, strict=True)
-    )
-    both = near0[..., None] & near1[:, :, None]  # (pair, point, edge, edge)
-    opposite = (both & (sides < 0)[:, None]).any(axis=(2, 3))
-    along = (both & (sides > 0)[:, None]).any(axis=(2, 3))
-    np.logical_and.at(within, region[some], (opposite & ~along).all(axis=1))
-    return within[region]
+    every = np.ones(region.max() + 1, dtype=bool)
+    np.logical_and.at(every, region, within)
+    return every[region]
 
 
-class _Rims(NamedTuple):
-    """Edges of faces at the vertices of triangles."""
+@dataclass(frozen=True)
+class _Rims:
+    """Curved edges between the faces of a body, once for each face."""
 
-    start: npt.NDArray[np.float64]
-    """Starting points, ``(num, num_edges, 3)``."""
-    along: npt.NDArray[np.float64]
-    """Vectors from there to the ends."""
-    outwards: npt.NDArray[np.float64]
-    """Vectors across the edges, out of the face."""
+    ends: npt.NDArray[np.float64]
+    """``(num, 2, 3)``."""
+    normals: npt.NDArray[np.float64]
+    """Normals of the face, ``(num, 3)``."""
     sag: npt.NDArray[np.float64]
-    """Distances of the curves from the edges, 0 of straight ones, ``(num, num_edges)``."""
+    """Distances of the curve from the edges, ``(num,)``."""
 
-    def near(self, some, points, normals, distance) -> npt.NDArray[np.bool_]:
-        """Mask of points, ``(num, num_points, 3)``, up to a distance from curved edges."""
-        along = self.along[some][:, None]
-        apart = points[:, :, None] - self.start[some][:, None]
-        length = np.einsum("pqem,pqem->pqe", along, along)
-        s = np.einsum("pqem,pqem->pqe", apart, along) / np.where(length > 0, length, 1)
-        apart = apart - np.clip(s, 0, 1)[..., None] * along
-        height = np.einsum("pqem,pm->pqe", apart, normals)
-        across = np.linalg.norm(apart - height[..., None] * normals[:, None, None], axis=3)
-        return (across <= distance[:, None, None]) & (self.sag[some] > 0)[:, None]
+    @classmethod
+    def of(cls, body: Boundary) -> "_Rims":
+        """Curved edges of a body; none in 2D."""
+        if body.x.shape[2] == 2:
+            return cls(np.zeros((0, 2, 3)), np.zeros((0, 3)), np.zeros(0))
+        edges = np.stack((body.nodes, np.roll(body.nodes, -1, axis=1)), axis=2).reshape(-1, 2)
+        edges.sort(axis=1)
+        order = np.lexsort(edges.T)
+        same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
+        a, b = order[:-1][same], order[1:][same]
+        normals = body.normals
+        corner = np.einsum("ei,ei->e", normals[a // 3], normals[b // 3]) < np.cos(CORNER_ASSEMBLY)
+        own, wall = (
+            np.concatenate(two) for two in ((a[corner], b[corner]), (b[corner], a[corner]))
+        )
+        ends = np.stack((body.x, np.roll(body.x, -1, axis=1)), axis=2).reshape(-1, 2, 3)[own]
+        t = ends[:, 1] - ends[:, 0]
+        length = np.linalg.norm(t, axis=1)
+        theta = np.einsum("ei,eij,ej->e", t, body.curvature[wall // 3], t) / length
+        sag = length / 2 * np.tan(np.minimum(theta, CORNER_ASSEMBLY) / 4)
+        curved = theta > FILE_DIGITS
+        return cls(ends[curved], normals[own // 3][curved], sag[curved])
 
+    @property
+    def outwards(self) -> npt.NDArray[np.float64]:
+        """Vectors out of the faces, across the edges, ``(num, 3)``."""
+        return np.cross(self.ends[:, 1] - self.ends[:, 0], self.normals)
 
-def _rims(body: Boundary, simplices: npt.NDArray[np.intp]) -> _Rims:
-    """Edges where the faces of triangles end, at the triangles' vertices."""
-    beside = np.flatnonzero(np.isin(body.nodes, body.nodes[simplices]).any(axis=1))
-    nodes, normals, x = body.nodes[beside], body.normals[beside], body.x[beside]
-    edges = np.stack((nodes, np.roll(nodes, -1, axis=1)), axis=2).reshape(-1, 2)
-    along = (np.roll(x, -1, axis=1) - x).reshape(-1, 3)
-    order = np.lexsort(np.sort(edges, axis=1).T)
-    same = (np.diff(np.sort(edges, axis=1)[order], axis=0) == 0).all(axis=1)
-    a, b = order[:-1][same], order[1:][same]
-    corner = np.einsum("ei,ei->e", normals[a // 3], normals[b // 3]) < np.cos(CORNER_ASSEMBLY)
-    own, wall = np.append(a[corner], b[corner]), np.append(b[corner], a[corner])
-    t = along[own]
-    length = np.linalg.norm(t, axis=1)
-    theta = np.einsum("ei,eij,ej->e", t, body.curvature[beside[wall // 3]], t) / length
-    theta = np.where(theta > FILE_DIGITS, np.minimum(theta, CORNER_ASSEMBLY), 0)
-    sag = length / 2 * np.tan(theta / 4)
-    outwards = np.cross(t, normals[own // 3])
-    # By their vertices
-    at = edges[own].ravel()
-    order = np.argsort(at, kind="stable")
-    corners = body.nodes[simplices]
-    first, last = (np.searchsorted(at[order], corners, side=side) for side in ("left", "right"))
-    places = first[..., None] + np.arange((last - first).max(initial=1))
-    known = places < last[..., None]
-    edge = np.append(order, 0)[np.where(known, places, -1)].reshape(len(simplices), -1) // 2
-    if not len(own):
-        zero = np.zeros((len(simplices), edge.shape[1], 3))
-        return _Rims(zero, zero, zero, zero[..., 0])
-    face = np.einsum("pei,pi->pe", normals[own // 3][edge], body.normals[simplices])
-    known = known.reshape(edge.shape) & (face >= np.cos(CORNER_ASSEMBLY))
-    start = x.reshape(-1, 3)[own]
-    return _Rims(start[edge], t[edge], outwards[edge], np.where(known, sag[edge], 0))
+    def nearest(self, points, normals, most: float):
+        """Distances across normals to the nearest edge of the same face, and its number.
+
+        Args:
+            points: ``(num, num_points, 3)``.
+            normals: Normals of their face, ``(num, 3)``.
+            most: Distance up to which edges are found.
+        """
+        boxes = [np.stack((x.min(axis=1), x.max(axis=1)), axis=1) for x in (points, self.ends)]
+        boxes[0] += [[-most], [most]]
+        k, e = meeting(*boxes).T
+        face = np.einsum("mi,mi->m", normals[k], self.normals[e]) >= np.cos(CORNER_ASSEMBLY)
+        k, e = k[face], e[face]
+        start, t = self.ends[e, 0], self.ends[e, 1] - self.ends[e, 0]
+        apart = points[k] - start[:, None]
+        s = np.einsum("mqi,mi->mq", apart, t) / np.einsum("mi,mi->m", t, t)[:, None]
+        apart -= np.clip(s, 0, 1)[..., None] * t[:, None]
+        apart -= np.einsum("mqi,mi->mq", apart, normals[k])[..., None] * normals[k, None]
+        distance = np.linalg.norm(apart, axis=2)
+        least, edge = np.full(points.shape[:2], np.inf), np.zeros(points.shape[:2], dtype=np.intp)
+        np.minimum.at(least, k, distance)
+        m, q = np.nonzero(distance <= least[k])
+        edge[k[m], q] = e[m]
+        return least, edge
 
 
 def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
