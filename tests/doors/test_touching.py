@@ -30,12 +30,12 @@ def space(n, low, high, cell, mapping=lambda x: x, c=comm, **options):
     return fem.functionspace(mesh, ("Lagrange", 1))
 
 
-def ring(n, inner, outer, cell, degree=1):
+def ring(n, inner, outer, cell, degree=1, height=0, turned=0):
     """A ring around the z axis, in the plane or in space; n edges around."""
 
     def mapping(x):
-        angle = 2 * np.pi * x[:, 1:2]
-        return np.hstack((x[:, :1] * np.cos(angle), x[:, :1] * np.sin(angle), x[:, 2:]))
+        angle = 2 * np.pi * x[:, 1:2] + turned
+        return np.hstack((x[:, :1] * np.cos(angle), x[:, :1] * np.sin(angle), x[:, 2:] + height))
 
     dim = 2 if cell in PLANE else 3
     low, high = ((r, end, end) for end, r in enumerate((inner, outer)))
@@ -255,6 +255,25 @@ def test_nothing_touches():
     assert find_touching([blocks[i] for i in (0, 3, 5, 6)]) == []
     same = space((2, 2), (0, 0), (1, 1), "quadrilateral")  # in one place: normals agree
     assert find_touching([space((3, 3), (0, 0), (1, 1), "quadrilateral"), same]) == []
+
+
+@pytest.mark.ranks(cell=["tetrahedron"], n=[16])
+@pytest.mark.parametrize(("n", "m"), [(16, 12), (12, 40), (40, 12)])
+@pytest.mark.parametrize("cell", SPACE)
+def test_edge_only(cell, n, m):
+    """A tube in a ring's hole, a step higher, shares a circle with the ring, not an area."""
+    hole = ring(n, 0.4, 1.2, cell)
+    pairs = find_touching([hole, ring(m, 0.1, 0.4, cell, height=1, turned=0.1)])
+    assert not pairs
+    assert [left.explained for left in pairs.left_out] == ["edge"]
+    # Beyond the chords' sag they touch; so do rings narrower than that, and narrow straight strips
+    sag = 0.4 * (1 - np.cos(np.pi / min(n, m)))
+    (pair,) = find_touching([hole, ring(m, 0.1, 0.4 + 2 * sag, cell, height=1, turned=0.1)])
+    assert pair.explained == "flat"
+    thin = [ring(m, 0.4 - sag / 2, 0.4, cell, height=z, turned=z / 10) for z in (0, 1)]
+    assert len(find_touching(thin)) == 1
+    low = space((4, 3, 1), (0, 0, 0), (2, 1, 1), cell)
+    assert len(find_touching([low, space((3, 3, 1), (1.999, 0, 1), (4, 1, 2), cell)])) == 1
 
 
 def test_distance():
