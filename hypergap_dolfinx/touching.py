@@ -466,12 +466,13 @@ def _at_edges(rims: Sequence["_Rims"], normals, facing: "_Facing", facets):
     """
     if not all(len(rim.sag) for rim in rims) or not len(facing.pair):
         return np.zeros(len(facing.pair), dtype=bool)
-    most = max(rim.sag.max() for rim in rims)
+    near = facing.near[:, None]
+    most = max(rim.sag.max() for rim in rims) + near.max()
     found = [rim.nearest(facing.points, n, most) for rim, n in zip(rims, normals, strict=True)]
     (apart0, edge0), (apart1, edge1) = found
     sag = np.maximum(rims[0].sag[edge0], rims[1].sag[edge1])
     away = np.einsum("pqi,pqi->pq", rims[0].outwards[edge0], rims[1].outwards[edge1]) < 0
-    within = (away & (np.maximum(apart0, apart1) <= sag)).all(axis=1)
+    within = (away & (np.maximum(apart0, apart1) <= sag + near)).all(axis=1)
     region = facing.regions(facets)
     every = np.ones(region.max() + 1, dtype=bool)
     np.logical_and.at(every, region, within)
