@@ -226,7 +226,7 @@ class NonlinearTiedProblem(NonlinearSystem):
 
     def _check_first(self):
         """Raise if the first tangent, whose factors can be no older, is singular. Collective."""
-        if self._num_tangents == 1:
+        if self._num_tangents == 1 and not self._is_regular:
             if self._renew_couplings():  # they turn with each residual
                 self._A.assemble()
             self._check_constants()

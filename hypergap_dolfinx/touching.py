@@ -18,7 +18,7 @@ from hypergap_dolfinx.core import graph
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.intersection import axes_across, common_part
 from hypergap_dolfinx.errors import InterfaceError
-from hypergap_dolfinx.surface.boundary import Boundary, gathered
+from hypergap_dolfinx.surface.boundary import Boundary, arc_height, equal_rows, gathered
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.search import meeting
 from hypergap_dolfinx.surface.tolerances import CORNER_ASSEMBLY, FILE_DIGITS
@@ -495,12 +495,7 @@ class _Rims:
         """Curved edges of a body; none in 2D."""
         if body.x.shape[2] == 2:
             return cls(np.zeros((0, 2, 3)), np.zeros((0, 3)), np.zeros(0))
-        edges = np.stack((body.nodes, np.roll(body.nodes, -1, axis=1)), axis=2).reshape(-1, 2)
-        edges.sort(axis=1)
-        order = np.lexsort(edges.T)
-        same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
-        a, b = order[:-1][same], order[1:][same]
-        normals = body.normals
+        normals, (a, b) = body.normals, _common_edges(body.nodes)
         corner = np.einsum("ei,ei->e", normals[a // 3], normals[b // 3]) < np.cos(CORNER_ASSEMBLY)
         own, wall = (
             np.concatenate(two) for two in ((a[corner], b[corner]), (b[corner], a[corner]))
@@ -509,7 +504,7 @@ class _Rims:
         t = ends[:, 1] - ends[:, 0]
         length = np.linalg.norm(t, axis=1)
         theta = np.einsum("ei,eij,ej->e", t, body.curvature[wall // 3], t) / length
-        sag = length / 2 * np.tan(np.minimum(theta, CORNER_ASSEMBLY) / 4)
+        sag = arc_height(length, np.minimum(theta, CORNER_ASSEMBLY))
         curved = theta > FILE_DIGITS
         return cls(ends[curved], normals[own // 3][curved], sag[curved])
 
@@ -544,6 +539,12 @@ class _Rims:
         return least, edge
 
 
+def _common_edges(nodes: npt.NDArray):
+    """Edges of two triangles: 3 · triangle + vertex at which each starts in the one, the other."""
+    edges = np.stack((nodes, np.roll(nodes, -1, axis=1)), axis=2)
+    return equal_rows(np.sort(edges, axis=2).reshape(-1, 2))
+
+
 def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
     """Fan numbers of the corners of triangles, and their nodes.
 
@@ -551,10 +552,7 @@ def _fans(body: Boundary, simplices: npt.NDArray[np.intp], most: float):
     turns by more than ``most`` don't connect.
     """
     nodes, normals = body.nodes[simplices], body.normals[simplices]
-    edges = np.sort(np.stack((nodes, np.roll(nodes, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
-    order = np.lexsort(edges.T)
-    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
-    a, b = order[:-1][same], order[1:][same]
+    a, b = _common_edges(nodes)
     smooth = np.einsum("ei,ei->e", normals[a // 3], normals[b // 3]) >= np.cos(most)
     a, b = a[smooth], b[smooth]
     # Boundaries have one direction of travel: an edge starts where the other one's ends

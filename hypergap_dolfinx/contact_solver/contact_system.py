@@ -4,6 +4,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -161,7 +162,7 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
-        self._last_unbalanced, self._left_to_go = np.inf, 0.0
+        self._last_unbalanced = np.inf
         self._before: tuple[list, list, list] | None = None  # values, residual and forces
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
@@ -375,7 +376,7 @@ class ContactSystem(NonlinearSystem):
                 share, self._reach = factor * share, factor * self._reach
                 self._go(*way, share)
                 continue
-            jump = self._jump()
+            jump, to_go = self._jump()
             if step == 0:
                 self._assemble_what_moved()
             stiffness, zero = self._stiffness(), self._zero_pressure()
@@ -402,11 +403,11 @@ class ContactSystem(NonlinearSystem):
                 except ValueError as error:  # points of the residual needn't see cells inverted
                     raise SolveError(self._inverted()) from error
             step, self._iterations = step + 1, self._iterations + 1
-            way, work, is_short = self._step(jump, stiffness)
+            way, work, is_stiffened = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            forces = self._left_of_bodies if self._left_to_go <= least else None
-            share = continuation.share(moves, work, forces, is_short)
+            forces = self._left_of_bodies if to_go <= least else None
+            share = continuation.share(moves, work, forces, is_stiffened)
             if share != 1:
                 self._go(*way, share)
 
@@ -517,7 +518,7 @@ class ContactSystem(NonlinearSystem):
         work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
-        return (start, self._state()), work, found.is_short
+        return (start, self._state()), work, found.is_stiffened
 
     def _solution(self, solve: Callable[[active_set.Guesses], Solution]) -> Solution:
         """Solution of the linearised problem from the present working sets. Collective."""
@@ -664,8 +665,7 @@ class ContactSystem(NonlinearSystem):
 
     def _assemble_what_moved(self):
         """Assemble the stiffness of bodies but for those that the last steps hardly moved."""
-        sizes = [side.reference.size.min() for rows in self._rows for side in rows.sides]
-        self._slack = REUSED * float(min(sizes))
+        self._slack = REUSED * self._finest
         self.assemble_matrix()
         self._slack = 0.0
 
@@ -676,15 +676,15 @@ class ContactSystem(NonlinearSystem):
             float(np.abs(state.p[state.active]).max(initial=0)) for state in states
         )
 
-    def _jump(self) -> list[npt.NDArray[np.float64]] | None:
-        """Increments of owned dofs that are still prescribed; None without any. Collective."""
+    def _jump(self) -> tuple[list[npt.NDArray[np.float64]] | None, float]:
+        """Increments of owned dofs still prescribed, None without any; the largest. Collective."""
         found = [
             np.where(held, wanted[: len(held)] - u.x.array[: len(held)], 0)
             for u, wanted, held in zip(self._u, self._goal, self._held, strict=True)
         ]
         largest = max(float(np.abs(part).max(initial=0)) for part in found)
-        self._left_to_go = self._comm.allreduce(largest, MPI.MAX)
-        return found if self._left_to_go else None
+        largest = self._comm.allreduce(largest, MPI.MAX)
+        return found if largest else None, largest
 
     def _hold(self):
         """Enlarge active sets until they hold, unless those that held before act. Collective."""
@@ -819,8 +819,12 @@ class ContactSystem(NonlinearSystem):
 
         Its gradient is 1 + ∂u/∂X, with the round-off of 1: displacements have that of a facet.
         """
-        facet = min(side.reference.size.min() for rows in self._rows for side in rows.sides)
-        return float(self._row_lengths[i][0, 0] * self._K[i].getSize()[0] ** 0.5 * facet)
+        return float(self._row_lengths[i][0, 0] * self._K[i].getSize()[0] ** 0.5 * self._finest)
+
+    @cached_property
+    def _finest(self) -> float:
+        """Size of the smallest facet in contact."""
+        return min(float(side.reference.size.min()) for rows in self._rows for side in rows.sides)
 
     def _nothing(self) -> float:
         """Force of contact that is round-off: gaps have that of places, as in :meth:`_at_rest`."""
@@ -889,7 +893,7 @@ class ContactSystem(NonlinearSystem):
         Contact forces turn with bodies that stay together, and are zero where they separate.
         Collective.
         """
-        jump = self._jump()
+        jump, _ = self._jump()
         assert self._free is not None
         pushes = any(rows.state.p.any() for rows in self._rows)
         if self._tied or self._points or self._num_free or jump is None or not pushes:

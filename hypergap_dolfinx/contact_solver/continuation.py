@@ -43,7 +43,7 @@ class Continuation:
             least: Displacement treated as zero: shorter steps have no direction.
         """
         self._comm, self._least = comm, least
-        self._num_steps, self._num_back, self._is_short = 0, 0, False
+        self._num_steps, self._num_back, self._is_stiffened = 0, 0, False
         self._square, self._longest, self._along = 0.0, 0.0, 0.0
         self._last_place, self._place = 0.0, 1.0
         self._last: Moves | None = None
@@ -53,7 +53,7 @@ class Continuation:
         moves: Moves,
         work: float,
         forces: Callable[[], Moves] | None = None,
-        is_short: bool = False,
+        is_stiffened: bool = False,
     ) -> float:
         """Share of the step to take first: 1, or -1 if backwards. Collective.
 
@@ -62,11 +62,11 @@ class Continuation:
             work: Second-order work of the step.
             forces: Gives this rank's residual of each body at the step's start, with its pressures;
                 None for a step without a line search.
-            is_short: True if stiffness was added for this step.
+            is_stiffened: True if stiffness was added for this step.
         """
         last = moves if self._last is None else self._last
-        self._num_steps, self._is_short = self._num_steps + 1, is_short
-        left = forces() if forces and (is_short or self._num_steps > PATIENCE) else ()
+        self._num_steps, self._is_stiffened = self._num_steps + 1, is_stiffened
+        left = forces() if forces and (is_stiffened or self._num_steps > PATIENCE) else ()
         sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves, left)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         (product, square, along), before = sums, self._square
@@ -94,7 +94,7 @@ class Continuation:
         place, last_place, start, self._along = self._place, self._last_place, self._along, 0.0
         along = self._comm.allreduce(sum(map(np.dot, self._last, forces()))) / place
         left = along / start
-        if self._is_short and left > -OSCILLATES:
+        if self._is_stiffened and left > -OSCILLATES:
             if self._square > SHORTENED**2 * self._longest:
                 return 1.0
             self._along = along

@@ -58,7 +58,7 @@ class Solution:
     """True if there is a solution only with bodies held near their places."""
     base: list[Array]
     """Multipliers of the working set, in the same units and order."""
-    is_short: bool = False
+    is_stiffened: bool = False
     """True if stiffness was added."""
     is_guess: bool = False
     """True if so many states are wrong that those found are tried as a working set."""
@@ -167,7 +167,7 @@ class LinearisedContact:
                 near = near / SHORTENED or nearness()
             else:
                 stiff = stiff / SHORTENED or ADDED
-        return replace(found, leaves=near > 0, is_short=stiff > 0)
+        return replace(found, leaves=near > 0, is_stiffened=stiff > 0)
 
     def _solve(self, right, num: int, shift: tuple[float, float], guesses: Guesses) -> Solution:
         """Solve it with shares of the stiffness without stress, and of its diagonal, added.

@@ -25,6 +25,7 @@ from hypergap_dolfinx.gap_mesh.slab import mesh_slab
 from hypergap_dolfinx.gap_mesh.strip import mesh_strip
 from hypergap_dolfinx.mortar import kernel
 from hypergap_dolfinx.mortar.tolerances import ACROSS, NARROW_CELL, NOUGHT, SAG_CURVED, UNEVEN
+from hypergap_dolfinx.surface.boundary import arc_height
 from hypergap_dolfinx.surface.quadrilaterals import on_triangles
 from hypergap_dolfinx.surface.tolerances import (
     CORNER_ASSEMBLY,
@@ -532,13 +533,13 @@ def _made_straight(domain: GapDomain) -> str | None:
 
 
 def _sag(surface: Surface) -> float:
-    """Largest distance of an arc from its chord, by the turns between facets: h/2 tan θ/4."""
+    """Largest distance of an arc from its chord, by the turns between facets."""
     one, other = facet_pairs(surface).T
     cosine = np.einsum("pi,pi->p", surface.normals[one], surface.normals[other])
     turn = np.arccos(np.clip(cosine, -1, 1))
     bends = turn < CORNER_ASSEMBLY
     size = np.maximum(surface.size[one], surface.size[other])[bends]
-    return float((size / 2 * np.tan(turn[bends] / 4)).max(initial=0.0))
+    return float(arc_height(size, turn[bends]).max(initial=0.0))
 
 
 def _straight_facets(surfaces: tuple[Surface, Surface]) -> str | None:

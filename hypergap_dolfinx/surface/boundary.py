@@ -26,6 +26,18 @@ from hypergap_dolfinx.surface.trace import lengths, unit_normals
 _SIMPLICES = {2: [[0, 1]], 3: [[0, 1, 2]], 4: [[0, 1, 3], [0, 3, 2]]}
 
 
+def arc_height(chord: npt.NDArray, turn: npt.NDArray | float) -> npt.NDArray[np.float64]:
+    """Height of an arc that turns by θ over its chord h: h/2 tan θ/4."""
+    return chord / 2 * np.tan(turn / 4)
+
+
+def equal_rows(rows: npt.NDArray) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Numbers of both rows of each pair of equal ones, as of edges of two triangles."""
+    order = np.lexsort(rows.T)
+    same = (np.diff(rows[order], axis=0) == 0).all(axis=1)
+    return order[:-1][same], order[1:][same]
+
+
 @dataclass(frozen=True)
 class ExteriorFacets:
     """Exterior facets of a space's mesh: of this rank, or of all of them."""
@@ -98,11 +110,8 @@ class Boundary:
 
     @property
     def most(self) -> npt.NDArray[np.float64]:
-        """Distances from the simplices that no curved surface exceeds, ``(num,)``.
-
-        An arc over an edge h that turns by θ is h/2 tan θ/4 away from it.
-        """
-        return self.size / 2 * np.tan(CORNER_ASSEMBLY / 4) + self.height
+        """Distances from the simplices that no curved surface exceeds, ``(num,)``."""
+        return arc_height(self.size, CORNER_ASSEMBLY) + self.height
 
     def sags(self, shares: npt.NDArray, curvature: npt.NDArray) -> npt.NDArray[np.float64]:
         """Distances of a curved surface from points of the simplices.
@@ -256,9 +265,7 @@ def _curvature(x: npt.NDArray, nodes: npt.NDArray, at_vertices: npt.NDArray):
     # Opposite to vertex k: the ridge between the others, or in 2D the other vertex
     others = np.stack([np.delete(np.arange(n), k) for k in range(n)])
     ridges = np.sort(nodes[:, others], axis=2).reshape(-1, n - 1)
-    order = np.lexsort(ridges.T)
-    same = (np.diff(ridges[order], axis=0) == 0).all(axis=1)
-    a, b = order[:-1][same], order[1:][same]
+    a, b = equal_rows(ridges)
     (f, k), (g, m) = np.divmod(a, n), np.divmod(b, n)
     start, end = x[f, others[k, 0]], x[f, others[k, -1]]
     along = end - start  # zero in 2D

@@ -454,8 +454,8 @@ def searched(continuation, x, step, force):
     return at
 
 
-@pytest.mark.parametrize("is_short", (True, False))
-def test_steps_lengthened(is_short):
+@pytest.mark.parametrize("is_stiffened", (True, False))
+def test_steps_lengthened(is_stiffened):
     """From an unstable equilibrium, steps with added stiffness are lengthened."""
     x, num, continuation = np.array([1e-4]), 0, Continuation(MPI.COMM_SELF, 1e-12)
     continuation.share([np.ones(1)], 1.0)  # the load step's own one, the longest
@@ -463,10 +463,10 @@ def test_steps_lengthened(is_short):
         slope, num = 3 * x**2 - 1, num + 1
         added = 4.0 if slope < 0 else 0.0
         step = -force / (slope + added)
-        assert continuation.share([step], 1.0, lambda F=force: [F], is_short and added > 0) == 1
+        assert continuation.share([step], 1.0, lambda F=force: [F], is_stiffened and added > 0) == 1
         x = searched(continuation, x, step, lambda at: at**3 - at)
     assert abs(x - 1) <= 1e-10
-    assert num <= 8 if is_short else num > 20
+    assert num <= 8 if is_stiffened else num > 20
 
 
 def test_lengthened_too_far():
