@@ -73,9 +73,9 @@ def means(us, measures):
     return np.array(rows)
 
 
-def tied(build, factor, degree):
+def tied(build, factor, degree, imprinted):
     """Mean displacements of parts that are tied, and numbers of displacements and of ties."""
-    parts = parts_of_assembly(comm, build, factor, degree=degree)
+    parts = parts_of_assembly(comm, build, factor, degree=degree, imprinted=imprinted)
     V = [fem.functionspace(mesh, ("Lagrange", degree, (3,))) for _, mesh in parts]
     E = [SOFT.get(name, 1.0) for name, _ in parts]
     measures = [ufl.Measure("dx", W.mesh) for W in V]
@@ -116,12 +116,12 @@ def off(rows, reference):
 # Both meshes approximate circles by polygons, so both also have an error of shape.
 
 
-def run(name, factor, degree, fine):
+def run(name, factor, degree, fine, imprinted):
     """One row of the table."""
     row = {"scene": name, "degree": degree, "size": factor}
     build = ASSEMBLIES[name]
     try:
-        rows, row["dofs"], row["ties"] = tied(build, factor, degree)
+        rows, row["dofs"], row["ties"] = tied(build, factor, degree, imprinted)
     except Exception as error:  # told in the row, the next scene goes on
         return row | {"failed": traceback.format_exception_only(error)[-1].strip()}
     one, row["fused dofs"] = fused(build, factor, degree)
@@ -163,6 +163,9 @@ def main():
     parser.add_argument("--degree", type=int, choices=(1, 2), nargs="+", default=[1, 2])
     parser.add_argument("--size", type=float, default=1.2, help="of cells over a part's thickness")
     parser.add_argument("--fine", type=float, default=0.8, help="that of the reference")
+    parser.add_argument(
+        "--imprinted", action="store_true", help="facets of each part end where other parts do"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument(
         "--plot", type=Path, metavar="DIR", help="save a picture of the parts, and do nothing else"
@@ -174,7 +177,7 @@ def main():
     for name in names:
         for degree in args.degree:
             progress.show(comm, f"{name}, degree {degree}")
-            row = run(name, args.size, degree, args.fine)
+            row = run(name, args.size, degree, args.fine, args.imprinted)
             rows.append(row)
             progress.show(comm)
             if comm.rank == 0:

@@ -43,6 +43,7 @@ def parts_of_assembly(
     *,
     degree: int = 1,
     cut: Mapping[str, int] | None = None,
+    imprinted: bool = False,
 ) -> list[tuple[str, dolfinx.mesh.Mesh]]:
     """A mesh of each part of an assembly.
 
@@ -53,12 +54,15 @@ def parts_of_assembly(
             around cylinders there are at least 12 / factor edges.
         degree: Degree of the geometry, 1 or 2.
         cut: Parts that are cut across at half their length, by name, and along which axis that is.
+        imprinted: True for facets that end where other parts do.
 
     Returns:
         Names and meshes, in the file's order; of what is cut the lower half comes first.
     """
     here = comm.rank == 0
-    names, x, parts = comm.bcast(_tetrahedra(source, factor, degree, False, here, cut or {}))
+    names, x, parts = comm.bcast(
+        _tetrahedra(source, factor, degree, here, joined=imprinted, cut=cut or {})
+    )
     return [
         (name, _create(comm, x, cells, degree)) for name, cells in zip(names, parts, strict=True)
     ]
@@ -78,7 +82,9 @@ def fused_assembly(
     Returns:
         The parts' names, the mesh, and the number of the part that each cell is in.
     """
-    names, x, parts = comm.bcast(_tetrahedra(source, factor, degree, True, comm.rank == 0))
+    names, x, parts = comm.bcast(
+        _tetrahedra(source, factor, degree, comm.rank == 0, joined=True, fused=True)
+    )
     return names, *_create_fused(comm, x, parts, degree)
 
 
@@ -161,11 +167,16 @@ def _tetrahedra(
     source: Source,
     factor: float,
     degree: int,
-    fused: bool,
     here: bool,
+    *,
+    joined: bool = False,
+    fused: bool = False,
     cut: Mapping[str, int] | None = None,
 ):
-    """Names of the parts, all nodes, and each part's cells; None where Gmsh isn't to run."""
+    """Names of the parts, all nodes, and each part's cells; None where Gmsh isn't to run.
+
+    Parts that are joined have common faces. If they aren't fused, each is meshed by itself.
+    """
     if not here:
         return None
     with gmsh_session() as gmsh:
@@ -195,11 +206,22 @@ def _tetrahedra(
             names, sizes = (np.repeat(part, num).tolist() for part in (names, sizes))
             volumes = [volume for part in pieces for volume in part]
             cad.synchronize()
-        if fused:
+        if joined:
             _, pieces = cad.fragment(volumes[:1], volumes[1:])
             volumes = [piece for (piece,) in pieces]
             cad.synchronize()
-        return names, *_generate(model, volumes, sizes, degree)
+        if fused or not joined:
+            return names, *_generate(model, volumes, sizes, degree)
+        gmsh.option.setNumber("Mesh.MeshOnlyVisible", 1)
+        nodes, parts = [], []
+        for volume, size in zip(volumes, sizes, strict=True):
+            model.mesh.clear()
+            model.setVisibility(model.getEntities(), 0)
+            model.setVisibility([volume], 1, recursive=True)
+            x, (cells,) = _generate(model, [volume], [size], degree)
+            parts.append(cells + sum(map(len, nodes)))
+            nodes.append(x)
+        return names, np.concatenate(nodes), parts
 
 
 def _simplices(boxes: npt.NDArray, sizes: Sequence[float], degree: int):

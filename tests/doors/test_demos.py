@@ -129,6 +129,14 @@ DEMOS = {
         needs=("gmsh",),
         script="cad_assemblies",
     ),
+    "cad_sandwich": Demo(
+        "--only sandwich --degree 2 --imprinted",
+        {},
+        {"*.ratio": 1.5},
+        needs=("gmsh",),
+        slow=True,
+        script="cad_assemblies",
+    ),
     "contact_run_time": Demo(
         "--scene contact --dims 2 --degrees 1 --levels 1 --repeats 1",
         {
