@@ -6,6 +6,7 @@ A compliance enters as the block −C in place of the zero; without one a stored
 stands there, since factorisations need the entries.
 """
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from mpi4py import MPI
@@ -17,9 +18,10 @@ import numpy.typing as npt
 from hypergap_dolfinx.algebra.tolerances import BACKWARD, RESIDUAL_ACCEPTED
 from hypergap_dolfinx.core.sparse import row_length
 
-NOT_UNIQUE = (
-    "the matrix is singular: the solution isn't found again from its loads; a body isn't held, or "
-    "a form's quadrature degree is too low for its element."
+LOG = logging.getLogger("hypergap_dolfinx")
+LOSSES = (
+    "as of slender, nearly incompressible or very unequal bodies; cells that are neither long nor "
+    "tiny lose fewer digits"
 )
 
 
@@ -120,6 +122,7 @@ class Errors:
         """
         self._A, self._num_ties = A, num_ties
         self._state: int | None = None
+        self._is_told = False
         self._sizes: npt.NDArray[np.float64] = np.zeros((0, 0))
         self._beside: npt.NDArray[np.bool_] = np.zeros((0, 0), dtype=bool)
         self._units: list[float] = []
@@ -169,6 +172,19 @@ class Errors:
         r, size = (np.linalg.norm(np.multiply(self._units, part)) for part in norms)
         return float(r), float(size)
 
+    def tell(self, error: float):
+        """Warn, once, that a solution has lost digits."""
+        if not self._is_told and self._A.comm.rank == 0:
+            LOG.warning("digits are lost: the error is about %.0e of u, %s.", error, LOSSES)
+        self._is_told = True
+
+    def units_of_rows(self, x: PETSc.Vec) -> npt.NDArray:
+        """Units of this rank's rows, from :func:`scales`, where :meth:`residual` was asked for."""
+        parts = x.getNestSubVecs()
+        sizes = [part.getLocalSize() for part in parts]
+        destroy_parts(parts)
+        return np.repeat(self._units, sizes)
+
     def _residuals(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[list[float], list[float]]:
         """|b − Ax| and |b| of each row of blocks. Collective."""
         r = b.duplicate()
@@ -187,6 +203,7 @@ def failure(
     errors: Errors | None = None,
     units: npt.NDArray | None = None,
     bound: float = RESIDUAL_ACCEPTED,
+    same_units: bool = False,
 ) -> str | None:
     """Reason why a solve did not converge, or None if it did. Collective.
 
@@ -199,12 +216,14 @@ def failure(
         errors: Errors of solutions, if the matrix is nested.
         units: Units of this rank's rows, if it isn't and they differ.
         bound: Largest residual of a direct solve, relative to the right-hand side.
+        same_units: True if all unknowns of bodies have one unit. Then a residual that is round-off
+            of A x is accepted, if the solution is found again from its loads but for the bound.
 
     Returns:
         A line with the KSP's reason, if it failed by itself, and MUMPS's INFOG.
     """
     reason = ksp.getConvergedReason()
-    residual = None
+    residual, error = None, np.inf
     if reason > 0:
         # Solvers that compute their residual have checked it
         if ksp.getNormType() != PETSc.KSP.NormType.NONE:
@@ -213,6 +232,11 @@ def failure(
             errors.residual(ksp.getSolution(), ksp.getRhs()) if errors else _residual(ksp, units)
         )
         if residual <= bound * size:
+            return None
+        if errors and same_units:
+            error = _error_of_solution(ksp, errors)
+        if errors and error <= bound:
+            errors.tell(error)
             return None
     names = {v: k for k, v in vars(PETSc.KSP.ConvergedReason).items() if isinstance(v, int)}
     # A reason > 0 says that the solve converged, which the residual contradicts
@@ -228,13 +252,25 @@ def failure(
             why += "; out of memory: raise mat_mumps_icntl_14 or use more ranks"
     if residual is not None:
         parts.append(f"the residual is {residual:.1e} for a right-hand side of {size:.1e}")
-    if singular:
+    if error < 1:
+        why += f"; the matrix is nearly singular: the error is about {error:.0e} of u, {LOSSES}"
+    elif singular:
         why += (
             "; the matrix is singular: a body isn't held, by boundary conditions or by a tie to "
             "one that is, a constraint is given twice, or a form's quadrature degree is too low "
             "for its element"
         )
     return f"the linear solve failed: {', '.join(parts)}{why}{advice}."
+
+
+def _error_of_solution(ksp: PETSc.KSP, errors: Errors) -> float:
+    """Error of a solution by factors, found again from its loads; infinite by other solvers."""
+    x = ksp.getSolution()
+    if ksp.getPC().getType() not in ("lu", "cholesky") or not 0 < x.norm() < np.inf:
+        return np.inf
+    # The KSP keeps its solution for those who ask later
+    units, apply = errors.units_of_rows(x), ksp.getPC().apply
+    return error_again(ksp.getOperators()[0], apply, x, len(units), units)
 
 
 def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
@@ -257,7 +293,7 @@ def error_again(
     num: int,
     units: npt.NDArray | float,
 ) -> float:
-    """Error of displacements solved for again from their loads A x, relative to x. Collective.
+    """Error of unknowns solved for again from their loads A x, relative to x. Collective.
 
     A matrix with a null vector gives any multiple of it besides. If there is no load along it, the
     residual is round-off all the same.
@@ -266,19 +302,29 @@ def error_again(
         A: The matrix.
         solve: Solves with its factors for a vector, into another one.
         x: The solution, not zero.
-        num: Number of this rank's displacements, which are its first unknowns.
+        num: Number of this rank's first unknowns whose error counts: its displacements, or all.
         units: Units of this rank's rows, as for :func:`failure`.
     """
     loads, found = x.duplicate(), x.duplicate()
     A.mult(x, loads)
     solve(loads, found)
     found.axpy(-1.0, x)
-    error, size = np.abs(_local(found)[:num]), np.abs(_local(x) / units)
+    error, size = np.abs(_local(found) / units)[:num], np.abs(_local(x) / units)
     for vector in (loads, found):
         vector.destroy()
     most = np.array((error.max(initial=0.0), size.max(initial=0.0)))
     A.comm.tompi4py().Allreduce(MPI.IN_PLACE, most, MPI.MAX)
     return float(most[0] / most[1])
+
+
+def not_unique(error: float) -> str:
+    """Message on a solution that isn't found again, but for this error relative to it."""
+    if error < 1:
+        return f"the matrix is nearly singular: the error is about {error:.0e} of u, {LOSSES}."
+    return (
+        "the matrix is singular: the solution isn't found again from its loads; a body isn't held, "
+        "or a form's quadrature degree is too low for its element."
+    )
 
 
 def _local(x: PETSc.Vec) -> npt.NDArray:

@@ -402,7 +402,7 @@ class Tangent:
         with way.options.in_use():
             error = saddle.error_again(retained.A, ksp.solve, x, num, units)
         if not error <= UNKNOWN:
-            raise UnsolvableError(saddle.NOT_UNIQUE)
+            raise UnsolvableError(saddle.not_unique(error))
         self._is_regular = True
 
     def guesses(self) -> Guesses:

@@ -263,7 +263,8 @@ class KSPSolver(Solver):
 
     def failure(self) -> str | None:
         """Failure of the last solve, or None. Collective."""
-        return saddle.failure(self._ksp, self._advice(), self._errors)
+        same_units = not any(map(is_mixed, self._system.spaces))
+        return saddle.failure(self._ksp, self._advice(), self._errors, same_units=same_units)
 
     def _advice(self) -> str:
         """End of the message on a failure."""

@@ -59,8 +59,8 @@ def constants(system: System, b: PETSc.Vec) -> PETSc.Vec | None:
     return x
 
 
-def undetermined(system: System, solver: Solver, x: PETSc.Vec) -> bool:
-    """True if x isn't found again from its loads A x, on the bodies. Collective.
+def error_again(system: System, solver: Solver, x: PETSc.Vec) -> float:
+    """Error of the bodies' unknowns found again from loads A x, over x. Collective.
 
     Args:
         system: The system.
@@ -68,14 +68,13 @@ def undetermined(system: System, solver: Solver, x: PETSc.Vec) -> bool:
         x: A vector of the system's layout.
     """
     if solver.ksp.getPC().getType() != "lu":
-        return False  # iterative solvers may be given a null space
+        return 0.0  # iterative solvers may be given a null space
     parts = x.getNestSubVecs()
     sizes = [part.getLocalSize() for part in parts]
     saddle.destroy_parts(parts)
     units = saddle.scales(saddle.block_sizes(system.A), len(system.constraints.full))
     num = sum(sizes[: len(system.spaces)])
-    error = saddle.error_again(system.A, solver.solve, x, num, np.repeat(units, sizes))
-    return not error <= UNKNOWN
+    return saddle.error_again(system.A, solver.solve, x, num, np.repeat(units, sizes))
 
 
 class TiedSystem(collective.Owner, Settable):
@@ -202,7 +201,7 @@ class TiedSystem(collective.Owner, Settable):
     def _check_constants(self):
         """Raise if the last solve left a constant undetermined. Collective."""
         if not self._constants_known and (x := constants(self._system, self._b)) is not None:
-            free = undetermined(self._system, self._solver, x)
+            free = not error_again(self._system, self._solver, x) <= UNKNOWN
             x.destroy()
             if free:
                 raise SolveError(f"the matrix is singular: {', or '.join(self._free_constants())}.")
@@ -211,8 +210,9 @@ class TiedSystem(collective.Owner, Settable):
     def _check_regular(self, x: PETSc.Vec):
         """Raise if a solution isn't the only one; the first that isn't zero tells. Collective."""
         if not self._is_regular and x.norm():
-            if undetermined(self._system, self._solver, x):
-                raise SolveError(saddle.NOT_UNIQUE)
+            error = error_again(self._system, self._solver, x)
+            if not error <= UNKNOWN:
+                raise SolveError(saddle.not_unique(error))
             self._is_regular = True
 
     def _free_constants(self) -> list[str]:

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from helpers import sweep, two_ranks
+from helpers import raises, sweep, two_ranks
 
 import dolfinx
 import meshes
@@ -627,6 +627,45 @@ def test_cells_that_deform_without_a_stress():
     for lag in ({}, {"snes_lag_preconditioner": -2, "snes_lag_preconditioner_persists": True}):
         with pytest.raises(SolveError, match=words):
             NonlinearTiedProblem(F, us, bcs=bcs, ties=ties, petsc_options=lag).solve()
+
+
+def cantilever(length, num=20):
+    """Two tied halves of height 1 under their weight: forms, conditions, ties; a deflection."""
+    a, L, bcs, sides = [], [], [], []
+    for i, tags in enumerate(((meshes.LEFT, meshes.RIGHT), (meshes.RIGHT, meshes.LEFT))):
+
+        def placed(x, i=i):
+            return np.column_stack(((x[:, 0] + i) * length / 2, x[:, 1]))
+
+        mesh, ft = meshes.block(comm, (num + i, 2), placed, cell="triangle")
+        V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        e, stretch = (ufl.sym(ufl.grad(w)) for w in (u, v)), ufl.inner(ufl.div(u), ufl.div(v))
+        a.append((2 * ufl.inner(*e) + stretch) * ufl.dx)
+        L.append(-ufl.inner(fem.Constant(mesh, default_scalar_type(1)), v[1]) * ufl.dx)
+        sides.append((V, ft.find(tags[1])))
+        if i == 0:
+            held = fem.locate_dofs_topological(V, 1, ft.find(tags[0]))
+            bcs = [fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), held, V)]
+    return (a, L, bcs, [Tie(*sides)]), length**4 / 8 / (8 / 3 / 12)
+
+
+@two_ranks()
+def test_slender_bodies_lose_digits(caplog):
+    """Residuals are round-off of stiffness times displacement, far above the loads' bound."""
+    (a, L, bcs, ties), deflection = cantilever(700)
+    u = TiedProblem(a, L, bcs=bcs, ties=ties).solve()[1].x.array
+    assert comm.allreduce(abs(u).max(initial=0), MPI.MAX) == pytest.approx(deflection, rel=5e-3)
+    assert comm.rank or "digits are lost: the error is about" in caplog.text
+    (a, L, bcs, ties), _ = cantilever(3000)
+    u = [fem.Function(V) for V in ties[0].spaces]
+    F = [ufl.action(form, f) - load for form, f, load in zip(a, u, L, strict=True)]
+    for problem in (
+        TiedProblem(a, L, bcs=bcs, ties=ties),
+        NonlinearTiedProblem(F, u, bcs=bcs, ties=ties),
+    ):
+        with raises(SolveError, "nearly singular: the error is about .* of u, as of slender"):
+            problem.solve()
 
 
 @two_ranks()
