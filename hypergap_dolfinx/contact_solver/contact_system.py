@@ -88,7 +88,7 @@ class ContactSystem(NonlinearSystem):
     The iteration ends after a step (or at the start, if the residual is round-off) when both hold:
 
     - Forces balance: the residual of bodies, ties and contact forces is at most rtol times the
-      forces in the bodies, or round-off (:meth:`_balances`).
+      forces in the bodies, or round-off (:meth:`_balances`). That of a body adds up to zero.
     - Contact's laws hold: no gap is open where a pressure acts, none is negative, sticking vertices
       don't slip, and tractions are μ p at the others (``ContactRows.is_closed``).
 
@@ -772,17 +772,18 @@ class ContactSystem(NonlinearSystem):
             for of in (left[:bodies], self._owned())
             for field, values in zip(self._fields, of, strict=True)
         ]
+        self._stiffness()
         found.append(np.array([np.vdot(part, part).real for part in left[bodies:num]]))  # at jumps
-        squares = np.concatenate(found)
-        self._comm.Allreduce(MPI.IN_PLACE, squares)
-        *found, jumps = np.split(squares, np.cumsum([len(part) for part in found[:-1]]))
+        found.append(self._along_axes(self._left).ravel())
+        sums = np.concatenate(found)
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        *found, jumps, along = np.split(sums, np.cumsum([len(part) for part in found[:-1]]))
         errors, values = found[:bodies], found[bodies:]
         apart, extent = self._of_couplings(left)
         elastic = self._num_elastic
         rest = jumps.sum() + apart + sum(error[0] for error in errors[elastic:])
         error_of = np.sqrt([*(error[0] for error in errors[:elastic]), rest])
         self._unbalanced = float(np.linalg.norm(error_of))
-        self._stiffness()
         sizes = [L**2 @ part for L, part in zip(self._row_lengths, values, strict=True)]
         of_bodies = [float(size[0]) for size in sizes]
         # Each body's round-off by itself: a stiff one's may be more than a soft one's forces
@@ -805,9 +806,29 @@ class ContactSystem(NonlinearSystem):
         known = self._largest.copy()
         for i, depends in enumerate(self._depends[:elastic]):
             known[i] += self._at_rest(i) * (depends.on_u and not self._converges)
-        beyond = np.linalg.norm(np.maximum(error_of - ROUND_OFF_FORCES * known, 0))
+        beyond = float(np.linalg.norm(np.maximum(error_of - ROUND_OFF_FORCES * known, 0)))
+        force, terms = np.abs(along).reshape(2, -1)
+        force -= ROUND_OFF_FORCES * (size + terms)  # the round-off of stresses adds up to zero
+        beyond = max(beyond, float(force.max(initial=0)))
         self._is_exact = not beyond and not self._tied  # ties have gaps, too
         return bool(beyond <= self._rtol * size)
+
+    def _along_axes(self, left: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
+        """This rank's sums of a residual along axes on which nothing of a body is prescribed.
+
+        Args:
+            left: This rank's residual of displacements.
+
+        Returns:
+            Sums for each body and axis, and those of the terms in them, ``(2, num)``: stresses have
+            none, springs and masses have.
+        """
+        now = self._of_displacements(self._owned())
+        sums = [
+            (left[i].real[a :: self._dim].sum(), np.abs(column * now[i]).sum())
+            for i, a, column in self._translated
+        ]
+        return np.reshape(sums, (-1, 2)).T
 
     @property
     def _converges(self) -> bool:
@@ -929,4 +950,27 @@ class ContactSystem(NonlinearSystem):
             sizes = [field.stiffness(K) for field, K in pairs[: self._num_elastic]]
             self._softest = min(sizes, default=0.0) or max(rows.springs for rows in self._rows)
             self._row_lengths = [field.lengths(K) for field, K in pairs]
+            self._translated = [
+                (i, a, self._moving[i].of_body(self._forces_of(i, a))) for i, a in self._free_axes
+            ]
         return self._softest
+
+    @cached_property
+    def _free_axes(self) -> list[tuple[int, int]]:
+        """Elastic bodies and axes on which none of their displacements is prescribed."""
+        held = self._of_displacements(self._held)[: self._num_elastic]
+        found = np.reshape([of.reshape(-1, self._dim).sum(axis=0) for of in held], (-1, self._dim))
+        return [(int(i), int(a)) for i, a in np.argwhere(self._comm.allreduce(found) == 0)]
+
+    def _forces_of(self, i: int, a: int) -> npt.NDArray[np.float64]:
+        """Derivatives of the sum of a body's forces along an axis, on this rank. Collective."""
+        K, part = self._K[i], self._moving[i]
+        unit, forces = K.createVecs()
+        one = np.zeros(part.space.dofmap.index_map.size_local * self._dim)
+        one[a :: self._dim] = 1
+        unit.array[:] = part.into_body(one)
+        K.multTranspose(unit, forces)
+        found = forces.array_r.real.copy()
+        for vector in (unit, forces):
+            vector.destroy()
+        return found

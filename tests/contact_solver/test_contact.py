@@ -297,6 +297,16 @@ def test_round_off_of_large_strain():
         assert abs(forces[1] / forces[0] - 1) <= 1e-6
 
 
+@two_ranks()
+def test_small_loads_of_stiff_bodies():
+    """A stiff block's round-off adds up to zero: on a soft one the smallest load is balanced."""
+    scene = Blocks(n=(5, 4), held=False, large=True, E=(1.0, 1e6))
+    for load in (1e-6, 1.01e-6, 0.5e-6):
+        scene.load.value = load
+        scene.problem.solve()
+        assert abs(scene.contact.force(scene.problem)[1]) == pytest.approx(load, rel=1e-6)
+
+
 @pytest.mark.parametrize("E", (1e-12, 1e11))
 def test_units(E):
     found = []
