@@ -584,7 +584,8 @@ def where_pressed(scene, problem, x):
     """Checks of pressures: distance over facet size, least pressure, excess of the cone."""
     apart, least, cone = 0.0, 0.0, 0.0
     for contact, pair, masks in zip(problem.contacts, scene.pairs, scene.of_pair, strict=True):
-        state = problem.rows(contact).state
+        rows = problem.rows(contact)
+        state = rows.state
         p = np.where(state.active, state.p, 0)
         if not p.any():
             continue
@@ -592,8 +593,8 @@ def where_pressed(scene, problem, x):
         largest = max(np.abs(p).max(), UNLOADED * stiffest)
         least = min(least, float(p.min() / largest))
         if scene.friction:
-            q = np.linalg.norm(np.where(state.active, state.q, 0), axis=0)
-            cone = max(cone, float((q - scene.friction * p).max() / largest))
+            q = np.linalg.norm(np.where(rows.rubs, state.q, 0), axis=0)
+            cone = max(cone, float((q - scene.friction * rows.pressed).max() / largest))
         one = next(k for k in (0, 1) if scene.parts[pair[k]].V == contact.spaces[1])
         i, j = pair[one], pair[1 - one]
         a, b = scene.parts[i].boundary, scene.parts[j].boundary

@@ -66,7 +66,8 @@ class Contact(Settable):
     There edges with geometry of degree 2 are arcs of circles.
 
     With friction there are tractions q_a opposite to the slip s_a since the last load step:
-    |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where s_a isn't zero.
+    |q_a| ≤ μ p_a, and q_a = −μ p_a s_a / |s_a| where s_a isn't zero. Where vertices share their
+    neighbours' gaps, p_a is the sum of the pressures that act on a's part of Γ1.
 
     Compliant surfaces (a coating, a gasket, asperities) overlap by c p_a: g_a = −c m_a p_a in
     contact, where m_a is the area of vertex a.
@@ -185,14 +186,13 @@ class Contact(Settable):
             if compliance is None
             else Coefficient(compliance, "compliance", "the compliance", *side1, self._split)
         )
-        limited = self._friction is not None and np.isfinite(self._friction.shear_limit)
         self._geometry = ContactGeometry(
             (below, above),
             (MovingSurface(self._surfaces[0]), MovingSurface(self._surfaces[1])),
             follows=sliding == "finite",
             itself=itself,
             depth=BEHIND_BODY * thickness,
-            gives=self._compliance is not None or bool(limited),
+            gives=self._compliance is not None,
         )
         self._places = tuple(Places(V.mesh, f) for V, f in zip(self._spaces, self._facets))
         for doubt in self._doubts(below, above):
@@ -380,7 +380,7 @@ class Contact(Settable):
         rows = self._solved_rows(problem)
         if rows.state.opening is None:
             return np.zeros(len(rows.g))
-        return self._opening(rows).smoothed(rows.at, rows.spread(rows.state.p))
+        return self._opening(rows).smoothed(rows.at, rows.pressures)
 
     def pressure(self, problem, *, on: str = "sigma") -> fem.Function:
         """Contact pressure as a function. Collective.
@@ -414,7 +414,7 @@ class Contact(Settable):
             return self._drawn(found, rows, found.on, "pressure")
         if on == "body":
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.at, rows.spread(rows.state.p * rows.state.active))
+        cells = self._opening(rows).cells(rows.at, rows.pressures)
         return on_sigma(self._comm, cells, "pressure")
 
     def shears(self, problem) -> npt.NDArray[np.float64]:
@@ -652,7 +652,7 @@ class Contact(Settable):
 
         Positions are displaced ones; with small sliding, where Σ is that of the start, they are
         those of the start. The moments on both bodies about one point are opposite: to round-off,
-        with friction in space up to the gaps within facets.
+        with friction up to the gaps within facets, in the plane only where Γ0 ends within these.
 
         Args:
             problem: A solved problem with this contact.

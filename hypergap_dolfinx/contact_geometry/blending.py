@@ -13,7 +13,11 @@ neighbours. Its multiplier may then replace a neighbour's, but can't press where
 As c goes to 0, forces become those without the row, so equilibria are continuous functions of the
 load. Where c is below :data:`SLIVER`, or below :data:`HARD` and no vertex beside it has a larger
 covered share, the row is left out, and neighbours take its pressure. With the matrix L of these
-sums, ĝ = L g, and multipliers p have the pressures Lᵀp. The same holds for slips.
+sums, ĝ = L g, and multipliers p have the pressures Lᵀp.
+
+Slips aren't shared. Coulomb's law holds at each vertex, with its own slip and its part of Lᵀp. A
+law of p and of L times the slips would be that of a mean slip, which needn't be opposite to any of
+those it stands for: forces would jump where c comes to be 0.
 """
 
 from dataclasses import dataclass
@@ -124,56 +128,41 @@ class Blended:
         """Change of the gaps by Δu, with pairs of opposite points kept."""
         return self.L @ self.rays.parting()
 
-    @cached_property
-    def _T(self) -> Sparse:
-        """T with the slips T Δu of vertices: vectors, one behind the other."""
-        return self.rays.slips(np.ones(self.num, dtype=bool))
-
-    def _along(self, target: npt.NDArray[np.intp]) -> Sparse:
-        """L of slips along the directions of vertices' targets, from slips as vectors."""
-        (a, b), e = self.pairs, self.rays.directions[target]
-        every, (num, across, n) = np.arange(self.num), e.shape
-        rows, vertices = np.append(every, a), np.append(every, b)
-        values = np.concatenate((e, self.shares[:, None, None] * e[a]))
-        i = np.broadcast_to(rows[:, None, None] + num * np.arange(across)[:, None], values.shape)
-        j = np.broadcast_to(n * vertices[:, None, None] + np.arange(n), values.shape)
-        return Sparse(i.ravel(), j.ravel(), values.ravel())
+    def bears(self) -> Sparse:
+        """Normal forces of vertices, also from their neighbours' rows, per unit of multipliers."""
+        return self.L.T.scaled(self.sizes)
 
     def slips(self, target: npt.NDArray[np.intp]) -> Sparse:
-        """T with ŝ = T Δu, along the directions of vertices' targets, ``(num,)``."""
-        return self._along(target) @ self._T
+        """T with s = T Δu, along the directions of vertices' targets, ``(num,)``."""
+        return self._along(self.rays.slips(np.ones(self.num, dtype=bool)), target)
 
     def slip_slopes(self, target, moved: Floats, on: npt.NDArray[np.bool_]) -> Sparse:
-        """∂ŝ/∂u if Δu moves with u.
+        """∂s/∂u if Δu moves with u.
 
         Args:
             target: As for :meth:`slips`.
             moved: Δu by both sides' dofs, ``(num_dofs, n)``.
             on: Mask of the vertices that count, ``(num,)``.
         """
-        (a, b), e = self.pairs, self.rays.directions[target]
-        parts = [self._along(target) @ self.rays.slips(on | self.near, moved)]
-        s = self._T.times([moved], self.num * e.shape[2]).reshape(self.num, -1)
-        for way in range(e.shape[1]):
-            by = self.by_weights((e[a, way] * s[b]).sum(axis=1))
-            parts.append(Sparse(self.num * way + by.i, by.j, by.values))
-        return joined(*parts)
+        return self._along(self.rays.slips(on, moved), target)
+
+    def _along(self, slips: Sparse, target: npt.NDArray[np.intp]) -> Sparse:
+        """Slips along directions, component by component, from vectors of vertices."""
+        e = self.rays.directions[target]
+        num, across, n = e.shape
+        i, j = np.arange(num)[:, None, None] + num * np.arange(across)[:, None], np.arange(num * n)
+        i, j = np.broadcast_to(i, e.shape), np.broadcast_to(j.reshape(num, 1, n), e.shape)
+        return Sparse(i.ravel(), j.ravel(), e.ravel()) @ slips
 
     def slip_curvature(self, target, q: Floats) -> Sparse:
-        """∂((L T)ᵀq)/∂u from tractions, ``(n - 1, num)``; it isn't symmetric."""
-        traction = np.einsum("ka,aki->ai", q, self.rays.directions[target])
-        H, num = self.rays.slip_curvature(self.pressures(traction)), traction.shape[1]
-        if not traction[self.pairs[0]].any():
-            return H
-        parts = [self.pressure_slopes(each) for each in traction.T]
-        by = joined(*(Sparse(num * S.i + i, S.j, S.values) for i, S in enumerate(parts)))
-        return joined(H, self._T.T @ by)
+        """∂(Tᵀq)/∂u from tractions, ``(n - 1, num)``; it isn't symmetric."""
+        return self.rays.slip_curvature(np.einsum("ka,aki->ai", q, self.rays.directions[target]))
 
-    def pressure_slopes(self, p: Floats) -> Sparse:
-        """∂(Lᵀp)/∂u, ``(num, n num_dofs)``."""
+    def force_slopes(self, p: Floats) -> Sparse:
+        """∂(Lᵀp)/∂u times areas, ``(num, n num_dofs)``."""
         a, b = self.pairs
-        own = np.bincount(b, p[a] * self._q[a], self.num)
-        return self._matrix(own, p[a] * self._dq[a] * self._c[b], self.pairs[::-1]) @ self._K
+        own, beside = np.bincount(b, p[a] * self._q[a], self.num), p[a] * self._dq[a] * self._c[b]
+        return self._matrix(own, beside, self.pairs[::-1]).scaled(self.sizes) @ self._K
 
     def _sums(self, halves: Floats) -> Floats:
         """Sums at vertices."""

@@ -120,7 +120,7 @@ class PlaneSegments(Segments):
         width, up = b - a, (c + d - a - b) / 2
         size = lengths(width)
         height = (up[:, 0] * width[:, 1] - up[:, 1] * width[:, 0]) / np.where(size > 0, size, 1)
-        p = gaps.pressures(p)[gaps.facets.ravel()[halves]]
+        p = p[gaps.facets.ravel()[halves]]
         owner = self.sides[1].reference.owner[halves // 2]
         return OpenCells(
             x=np.concatenate((np.stack((a, b, c), axis=1), np.stack((a, c, d), axis=1))),

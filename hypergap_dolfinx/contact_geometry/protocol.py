@@ -58,8 +58,8 @@ class Segments(ABC):
 
     sides: Sides
     gives: bool = field(default=False, kw_only=True)
-    """True if tractions depend on their rows' areas, as those of springs and of a limit of shear:
-    rows of what is hardly covered have nothing of their neighbours', which would count twice."""
+    """True if pressures depend on their rows' areas, as those of springs: rows of what is hardly
+    covered have nothing of their neighbours', which would count twice."""
     num_multipliers: int = field(init=False)
     """Number of vertices of Γ1, in reach of Γ0 or not."""
     num_dofs: int = field(init=False)
@@ -196,6 +196,26 @@ class Segments(ABC):
         """
         return self._at(u).slip_curvature(target, q)
 
+    def pressures(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Pressures of vertices, which share those of their neighbours' rows, from multipliers."""
+        return self._at(u).pressures(p)
+
+    def bears(self, u: Displacements) -> tuple[npt.NDArray[np.float64], Sparse]:
+        """Areas of vertices; their normal forces per unit of multipliers, ``(num, num)``."""
+        gaps = self._at(u)
+        return gaps.sizes, gaps.bears()
+
+    def force_slopes(self, u: Displacements, p: npt.NDArray[np.float64]) -> Sparse:
+        """Derivatives of vertices' normal forces by u as shares in their neighbours' rows change.
+
+        Areas are kept.
+
+        Args:
+            u: Displacements.
+            p: Pressures, ``(num_multipliers,)``.
+        """
+        return self._at(u).force_slopes(p)
+
     def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Largest distance and largest overlap of the sides within each vertex's part of Γ1.
 
@@ -218,10 +238,9 @@ class Segments(ABC):
 
         Args:
             u: Displacements.
-            p: ``(num_multipliers,)``.
+            p: Those of vertices, ``(num_multipliers,)``.
         """
         gaps = self._at(u)
-        p = gaps.pressures(p)
         if self.sides[1].reference.num_parts > 1:  # scatters less than means are off
             return p
         p = p[gaps.facets]

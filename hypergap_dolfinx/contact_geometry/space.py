@@ -315,7 +315,7 @@ class SpaceSegments(Segments):
             x=x,
             rank=surfaces[1].owner[pieces.facets[1][cell]],
             gap=columns.shown[1][cell],
-            pressure=gaps.pressures(p)[vertex[cell]],
+            pressure=p[vertex[cell]],
         )
 
 

@@ -138,6 +138,7 @@ class ContactRows:
         self._compliance = np.zeros(num)
         self._bends: Sparse | None = None  # derivative of a step's forces at its multipliers
         self._guess: npt.NDArray[np.float64] | None = None  # gaps where laws are linearised
+        self._beside = Sparse.empty()  # derivatives of laws by other vertices' multipliers
         corners = surface.facets.shape[1]
         x = surface.x[surface.facets]
         areas = lengths(normals_by_area(x)) / (corners * (self._n - 1))
@@ -251,11 +252,7 @@ class ContactRows:
         if self.start is None:
             self.start = self.before()
         g, m, C = self._find()
-        has = self.condensed_to >= 0
-        self.g, self.m = (
-            np.bincount(self.condensed_to[has], part[has], len(part)).astype(float)
-            for part in (g, m)
-        )
+        self.g, self.m = self._of_carriers(g), self._of_carriers(m)
         self.C = self._condensed(C)
         self._refuse_behind()
         every, free = (
@@ -314,6 +311,11 @@ class ContactRows:
         return self._per_vertex * len(self._rank)
 
     @property
+    def num_lengths(self) -> int:
+        """Number of gaps, and with friction of slips and of the normal forces that bound it."""
+        return self.num_unknowns
+
+    @property
     def is_in(self) -> npt.NDArray[np.bool_]:
         """Mask of the unknowns in the working set, ``(num_unknowns,)``."""
         return self._of_all(self.state.active)
@@ -370,8 +372,13 @@ class ContactRows:
         return self.C
 
     def _product(self, values: Displacements) -> npt.NDArray[np.float64]:
-        """The derivatives times values at both sides' dofs, ``(num_unknowns,)``."""
-        return self._slopes.times(values, self.num_unknowns)
+        """The derivatives times values at both sides' dofs, ``(num_lengths,)``."""
+        return self._slopes.times(values, self.num_lengths)
+
+    @property
+    def _areas(self) -> npt.NDArray[np.float64]:
+        """Areas of rows, 0 without one, ``(num_lengths / num_multipliers, num_multipliers)``."""
+        return np.where(self.valid, self.m, 0)[None]
 
     def _over_areas(self, values: npt.NDArray, none=0.0) -> npt.NDArray[np.float64]:
         """Values of multipliers, the last axis, over areas; ``none`` without a multiplier."""
@@ -379,8 +386,10 @@ class ContactRows:
         return np.divide(values, self.m, out=result, where=self.valid)
 
     def _scaled(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
-        """Weighted lengths as lengths times √stiffness, ``(num_unknowns / num_multipliers, …)``."""
-        return self._root * self._over_areas(values.reshape(self._per_vertex, -1))
+        """Weighted lengths as lengths times √stiffness, of the shape of :attr:`_areas`."""
+        areas = self._areas
+        values = values.reshape(areas.shape)
+        return self._root * np.divide(values, areas, out=0 * values, where=areas > 0)
 
     def least(self) -> npt.NDArray[np.float64]:
         """Sizes treated as zero, of multipliers in the working set or of gaps outside."""
@@ -404,15 +413,15 @@ class ContactRows:
         """Residual of the laws of contact and friction, zero where they hold.
 
         Args:
-            y: Gaps and slips, ``(n, num)``, or gaps alone, ``(1, num)``.
-            f: Pressures and tractions, likewise.
+            y: Gaps, slips and normal forces, ``(n + 1, num)``, or gaps alone, ``(1, num)``.
+            f: Pressures and tractions, ``(n, num)``, or pressures alone.
             at: Numbers of the multipliers, ``(num,)``.
             states: States of the multipliers, first the mask of closed ones, ``(num,)``; by default
                 those that y and f have.
 
         Returns:
-            The errors, ``(n, num)``; their derivatives by y and f, ``(n, n, num)`` each; and the
-            sizes treated as zero, ``(n, num)``.
+            The errors, ``(n, num)``; their derivatives by y and f, with as many columns as these
+            have rows; and the sizes treated as zero, ``(n, num)``.
         """
         closed = f[0] > y[0] if states is None else states[0]
         force, length = self._least()
@@ -429,12 +438,12 @@ class ContactRows:
 
     def _watched(self, matrix: Sparse) -> Sparse:
         """Rows over areas times √stiffness, of what isn't prescribed."""
-        a = matrix.i % len(self.g)
-        use = self.valid[a] & self._is_free[matrix.j]
-        found = matrix.some(use)
+        areas = self._areas.ravel()
+        use = areas[matrix.i] > 0
+        found = matrix.some(use & self._is_free[matrix.j])
         if self._rigid:
-            found = joined(found, matrix.some(self.valid[a]) @ self._by_rigid)
-        return replace(found, values=self._root * found.values / self.m[found.i % len(self.g)])
+            found = joined(found, matrix.some(use) @ self._by_rigid)
+        return replace(found, values=self._root * found.values / areas[found.i])
 
     def watched_forces(self) -> Sparse:
         """Multipliers of the working set in terms of the unknowns of the equations."""
@@ -443,28 +452,49 @@ class ContactRows:
 
     def loads(self) -> Sparse:
         """Right-hand sides of new unknowns: forces, or slack in rows of the working set."""
-        rows = self._watched(self._acting)
-        return joined(rows.some(~self.is_in[rows.i]), self.watched_forces())
+        rows, beside, on = self._watched(self._acting), self._beside, self.is_in
+        place = len(self._is_free) + beside.i
+        rows = joined(rows, Sparse(beside.j, place, -self._root * beside.values))
+        return joined(rows.some(~on[rows.i]), self.watched_forces())
 
-    def give(self) -> npt.NDArray[np.float64]:
+    def _pressed_by(self, by_y) -> Sparse:
+        """Derivatives of the working set's laws of friction by pressures of multipliers.
+
+        Args:
+            by_y: As of :meth:`law`.
+        """
+        return Sparse.empty()
+
+    def _give(self) -> npt.NDArray[np.float64]:
         """Gap that a compliance adds, per unit of each multiplier."""
         return self._over_areas(self._stiffness * self._compliance)
+
+    def given(self, f: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """What multipliers add to gaps, ``(num_lengths, ...)`` from ``(num_unknowns, ...)``."""
+        return (self._give() * f.T).T
 
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         now = self.state
         now.active = self.valid & np.where(changed, f > y, now.active)
-        now.p = np.where(now.active, f, 0) * self._per_unit
+        now.p = np.where(now.active, f, 0) * self._per_unit[0]
 
     def guess(self, y, f, changed):
         """Take a solution as a guess: laws are linearised there; arguments as :meth:`accept`."""
         self.accept(y, f, changed)
-        self._guess = y.reshape(self._per_vertex, -1)
+        self._guess = y.reshape(self._areas.shape)
+
+    @property
+    def _now(self) -> npt.NDArray[np.float64]:
+        """Gaps, slips and normal forces as they are, in the units of :meth:`law`."""
+        lengths = self._scaled(self._lengths)
+        return lengths + self.given(self._forces.ravel()).reshape(lengths.shape)
 
     @property
     def _per_unit(self) -> npt.NDArray[np.float64]:
         """Pressures over multipliers in these units."""
-        return self._over_areas(np.full(len(self.m), self._root))
+        areas = self._areas[: self._per_vertex]
+        return np.divide(self._root, areas, out=0 * areas, where=areas > 0)
 
     def slide(self) -> bool:
         """Make all multipliers of the working set slip; false without friction."""
@@ -489,6 +519,12 @@ class ContactRows:
         now.active = self.valid & now.active
         now.p = np.where(now.active, now.p, 0)
 
+    @property
+    def pressures(self) -> npt.NDArray[np.float64]:
+        """Pressures of vertices, ``(num_vertices,)``."""
+        p = self.spread(self.state.p * self.state.active)
+        return p if self.state.opening is None else self.state.opening.pressures(self.at, p)
+
     # Geometry
 
     def _find(self) -> tuple[npt.NDArray, npt.NDArray, Sparse]:
@@ -507,6 +543,11 @@ class ContactRows:
                 raise
         state.opening, none = None, np.zeros(len(self._area))
         return none, none, Sparse.empty()
+
+    def _of_carriers(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Sums of vertices' values with the same condensation."""
+        has = self.condensed_to >= 0
+        return np.bincount(self.condensed_to[has], values[has], len(values)).astype(float)
 
     def _condensed(self, matrix: Sparse) -> Sparse:
         """A matrix with the same condensation, of one component or several."""
@@ -706,28 +747,32 @@ class ContactRows:
         """
         if not self.state.active.any():
             return self.without_forces()
-        n, num, k = self._per_vertex, len(self.g), self._stiffness
-        f, give, y0 = self._forces, self.give().reshape(n, num), self._scaled(self._lengths)
-        y = y0 + give * f if self._guess is None else self._guess
+        num, k, f, y0 = len(self.g), self._stiffness, self._forces, self._scaled(self._lengths)
+        y = self._now if self._guess is None else self._guess
         error, by_y, by_f = self._first_order(y, f)
         # by_y (y_new − y) + by_f (f_new − f) = −error, y_new = y0 − G dx + give f_new
         right = error - np.einsum("kla,la->ka", by_f, f)
         right += np.einsum("kla,la->ka", by_y, y0 - y)
-        by_f = by_f + by_y * give
+        by_f[:, 0] += by_y[:, 0] * self._give()
         if increments is not None:
             moves = self._scaled(self._product(self.from_bodies(increments)))
             right += np.einsum("kla,la->ka", by_y, moves)
         on, start = self.is_in, len(self._is_free)
         acting, rows = (self._watched(part) for part in (self._acting, self._slopes))
-        acting, rows = acting.some(on[acting.i]), rows.some(on[rows.i])
+        acting = acting.some(on[acting.i])
         found = [Sparse(acting.j, start + acting.i, self._root * acting.values)]
         part, a = np.divmod(rows.i, num)
-        for i in range(n):
+        for i in range(len(error)):
             values = self._root * rows.values * by_y[i, part, a]
-            found.append(Sparse(start + num * i + a, rows.j, values))
-        at = np.flatnonzero(self.state.active)
-        for i, j in np.argwhere(by_f[..., at].any(axis=2)):
+            law = Sparse(start + num * i + a, rows.j, values)
+            found.append(law.some(on[num * i + a] & (values != 0)))
+        for i, j in np.argwhere(by_f.any(axis=2)):
+            at = np.flatnonzero(on[num * i : num * (i + 1)])
             found.append(Sparse(start + num * i + at, start + num * j + at, -k * by_f[i, j, at]))
+        beside = self._pressed_by(by_y)
+        self._beside = beside = beside.some(on[beside.i])
+        beside = beside.some(on[beside.j])
+        found.append(Sparse(start + beside.i, start + beside.j, -k * beside.values))
         off = start + np.flatnonzero(~on)
         found.append(Sparse(off, off, np.full(len(off), self._diagonal)))
         if self._bends is None:  # else that of the step's first working set
@@ -764,7 +809,7 @@ class ContactRows:
     def _forces(self) -> npt.NDArray[np.float64]:
         """The multipliers in the units of the linearised problem, ``(n, num_multipliers)``."""
         values = self._values.reshape(self._per_vertex, -1)
-        return np.where(self.valid, values * self.m, 0) / self._root
+        return values * self._areas[: self._per_vertex] / self._root
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:

@@ -35,7 +35,11 @@ class FrictionState(NormalState):
 
 
 class FrictionRows(ContactRows):
-    """Contact with friction: tractions q with |q| ≤ min(μ p, τ), against the slip s of a load step.
+    """Contact with friction: tractions q with |q| ≤ min(μ P, τ), against the slip s of a load step.
+
+    P and s are those of vertices. Where Γ1 is covered in part, rows of gaps share neighbours', and
+    P = Lᵀp (:mod:`~hypergap_dolfinx.contact_geometry.blending`). So a vertex whose own row is open
+    has traction, too, if it has a part in a closed one.
 
     Multiplier a has the unknowns and rows k num_multipliers + a: of p for k = 0, then of q_k.
     """
@@ -57,7 +61,9 @@ class FrictionRows(ContactRows):
             way=np.zeros((across, num)),
         )
         self._since: Displacements | None = None
-        self.T = Sparse.empty()
+        self.T = self._bears = Sparse.empty()
+        self._sizes = np.zeros(num)  # own areas of vertices
+        self._shares = np.zeros(num, dtype=bool)  # that have a part in others' rows
         self._elastic = np.zeros((across, num))  # elastic part of the slip
         self._all_slopes: Sparse | None = None
 
@@ -99,29 +105,74 @@ class FrictionRows(ContactRows):
             self._since = self.start
         opening = self.state.opening
         if opening is None:
-            self.T = Sparse.empty()
+            self.T, self._bears, self._sizes = Sparse.empty(), Sparse.empty(), 0 * self.m
         elif self._follows or not len(self.T.i):
             self.T = self._condensed(opening.slip(self.at, self.condensed_to))
+            sizes, bears = opening.bears(self.at)
+            self._sizes = self._of_carriers(sizes)
+            self._bears = self._condensed(self._condensed(bears).T).T
+            beside = self._bears.some(self._bears.i != self._bears.j)
+            self._shares = np.bincount(beside.i, minlength=len(self.g)) > 0
         moves = self.u[0] - self._since[0], self.u[1] - self._since[1]
         self.s = self.T.times(moves, (self._n - 1) * len(self.g)).reshape(-1, len(self.g))
-        self._lengths, self._all_slopes = np.append(self.g, self.s), None
+        self._lengths, self._all_slopes = np.concatenate((self.g, self.s.ravel(), 0 * self.g)), None
         self._acting = joined(self.C, Sparse(len(self.g) + self.T.i, self.T.j, self.T.values))
+
+    @property
+    def num_lengths(self) -> int:
+        """Number of gaps, slips, and normal forces that bound friction."""
+        return self.num_unknowns + len(self.g)
+
+    @property
+    def _own_areas(self) -> npt.NDArray[np.float64]:
+        """Areas on which friction acts, without neighbours', ``(num_multipliers,)``."""
+        return np.where(self.valid, self._sizes, 0)
+
+    @property
+    def _areas(self) -> npt.NDArray[np.float64]:
+        own = self._own_areas
+        forces = np.where(own > 0, self._stiffness, 0)  # these are no lengths
+        return np.vstack((super()._areas, *[own] * (self._n - 1), forces))
+
+    def _over_own(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values of vertices over their own areas, 0 where there is no friction."""
+        own = self._own_areas
+        return np.divide(values, own, out=np.zeros(values.shape), where=own > 0)
+
+    def _borne(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Normal forces of vertices from pressures of multipliers, ``(num_multipliers,)`` each."""
+        return np.bincount(self._bears.i, self._bears.values * p[self._bears.j], len(p))
+
+    @property
+    def pressed(self) -> npt.NDArray[np.float64]:
+        """Pressures P that bound friction, ``(num_multipliers,)``."""
+        return self._over_own(self._borne(self.state.p * self.state.active))
+
+    @property
+    def rubs(self) -> npt.NDArray[np.bool_]:
+        """Mask of the vertices that have a part in an active row."""
+        return (self._borne(self.state.active.astype(float)) > 0) & (self._own_areas > 0)
+
+    @property
+    def is_in(self) -> npt.NDArray[np.bool_]:
+        """Mask of the unknowns in the working set: pressures, and tractions of what they press."""
+        return np.concatenate((self.state.active, *[self.rubs] * (self._n - 1)))
 
     @property
     def slip(self) -> npt.NDArray[np.float64]:
         """Slip of the load step, a length, 0 without a multiplier, ``(n - 1, num_multipliers)``."""
-        return self._over_areas(self.s)
+        return self._over_own(self.s)
 
     def commit(self):
         """Accept the state, and add up the dissipation and slip of the load step."""
         super().commit()
         now, lost = self.state, self.slip
         if self._soft:
-            before, self._elastic = self._elastic, self._shortened() * now.active
+            before, self._elastic = self._elastic, self._shortened() * self.rubs
             lost = lost + before - self._elastic
-        self.dissipated -= float((now.q * now.active * self.m * lost).sum())
-        self.slipped += np.einsum("ka,kai->ai", self.slip * now.active, self.tangents)
-        now.sticks |= ~now.active
+        self.dissipated -= float((now.q * self.rubs * self._sizes * lost).sum())
+        self.slipped += np.einsum("ka,kai->ai", self.slip * self.rubs, self.tangents)
+        now.sticks |= ~self.rubs
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
@@ -140,19 +191,19 @@ class FrictionRows(ContactRows):
         T = self.T.some(self.T.j >= start)
         number = T.i * self._n + (T.j - start) % self._n
         total = np.bincount(number, T.values, (self._n - 1) * num * self._n)
-        return total.reshape(-1, num, self._n) * self._over_areas(np.ones(num))[:, None]
+        return total.reshape(-1, num, self._n) * self._over_own(np.ones(num))[:, None]
 
     @property
     def shears(self) -> npt.NDArray[np.float64]:
         """Tractions on Γ1's body, of all vertices, ``(num_vertices, n)``."""
-        q = np.einsum("ka,kai->ai", self.state.q * self.state.active, self.tangents)
+        q = np.einsum("ka,kai->ai", self.state.q * self.rubs, self.tangents)
         return np.stack([self.spread(part) for part in q.T], axis=1)
 
     def _bounds(self, p, at=slice(None), unit=1.0):
-        """Friction's bound min(μ p, τ) at pressures, and its derivative by them.
+        """Friction's bound min(μ P, τ) at pressures, and its derivative by them.
 
         Args:
-            p: Pressures, times ``unit``.
+            p: Pressures of vertices, times ``unit``.
             at: Numbers of the multipliers.
             unit: Unit of the pressures.
         """
@@ -163,8 +214,8 @@ class FrictionRows(ContactRows):
 
     @property
     def stuck(self) -> npt.NDArray[np.bool_]:
-        """Mask of active multipliers that stick."""
-        return self.state.active & self.state.sticks
+        """Mask of vertices that stick under pressure."""
+        return self.rubs & self.state.sticks
 
     def stick(self) -> bool:
         """Make all multipliers stick where nothing else would hold a body; true if one slipped."""
@@ -185,78 +236,101 @@ class FrictionRows(ContactRows):
         rows, now = self.holds_across(moves), self.state
         along = np.einsum("ka,akm->am", now.way, rows)
         rows -= np.where(now.sticks, 0, now.way).T[:, :, None] * along[:, None]
-        bound, _ = self._bounds(now.p)
-        return rows[now.active & (now.sticks | (bound > 0))]
+        bound, _ = self._bounds(self.pressed)
+        return rows[self.rubs & (now.sticks | (bound > 0))]
 
     def holds_across(self, moves: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """T applied to motions, over areas, ``(num_multipliers, n - 1, num)``."""
         rows = self.T.products(moves, (self._n - 1) * len(self.g))
-        return self._over_areas(rows.reshape(len(moves), -1, len(self.g))).T
+        return self._over_own(rows.reshape(len(moves), -1, len(self.g))).T
 
     # The linearised contact problem
 
     def start_set(self, stiffness: float, zero: float, *, touches: bool = True):
         """Choose the working set; in it new multipliers stick."""
-        last = self.state.active
+        last = self.rubs
         super().start_set(stiffness, zero, touches=touches)
         now = self.state
         now.sticks |= ~last
-        now.q = np.where(now.active, now.q, 0)
+        now.q = np.where(self.rubs, now.q, 0)
         if self._soft or self._n > 2:
             every = np.arange(len(self.g))
-            _, sticks, way = self._states(self._scaled(self._lengths), self._forces, every)
+            *_, sticks, way = self._states(self._now, self._forces, every)
             now.sticks = sticks if self._soft else now.sticks
-            now.way = np.where(now.active & ~now.sticks, way, now.way)
+            now.way = np.where(self.rubs & ~now.sticks, way, now.way)
         now.sticks &= self.mu > 0
 
     @property
     def _slopes(self) -> Sparse:
-        """Derivatives of weighted gaps and slips by displacements."""
+        """Derivatives of weighted gaps, slips and normal forces by displacements."""
         if self._all_slopes is None:
-            opening, S = self.state.opening, self.T
+            opening, S, N = self.state.opening, self.T, Sparse.empty()
             if opening is not None and self._follows:
                 assert self._since is not None
                 on = self.spread(self.valid.astype(float)) > 0
                 S = self._condensed(opening.slip_slopes(self.u, self._since, self.condensed_to, on))
-            self._all_slopes = joined(self.C, Sparse(len(self.g) + S.i, S.j, S.values))
+                p = self.spread(np.maximum(self.state.p, 0) * self.state.active)
+                N = self._condensed(opening.force_slopes(self.u, p))
+            S, N = replace(S, i=len(self.g) + S.i), replace(N, i=self.num_unknowns + N.i)
+            self._all_slopes = joined(self.C, S, N)
         return self._all_slopes
 
-    def give(self) -> npt.NDArray[np.float64]:
-        """Gap that a compliance adds, per unit of each multiplier; slips get nothing."""
-        return np.append(super().give(), np.zeros((self._n - 1) * len(self.g)))
+    def given(self, f: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The same; slips get nothing, and normal forces are sums of pressures."""
+        num, p = len(self.g), f[: len(self.g)]
+        x = np.ascontiguousarray(p.reshape(num, -1).T)
+        forces = self._bears_of_units.products(x, num).T.reshape(p.shape)
+        return np.concatenate((super().given(p), 0 * f[num:], forces))
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
         """Mask of multipliers whose state differs from the working set, ``(num_unknowns,)``."""
         every, now = np.arange(len(self.g)), self.state
-        y, f = (v.reshape(self._n, -1) for v in (y, f))
-        closed, sticks, way = states = self._states(y, f, every)
-        other = (closed != now.active) | (closed & (sticks != now.sticks))
-        other |= closed & ~sticks & ((way * now.way).sum(axis=0) <= 0)
+        y, f = (v.reshape(-1, len(self.g)) for v in (y, f))
+        closed, rubs, sticks, way = states = self._states(y, f, every)
+        other = (closed != now.active) | (rubs != self.rubs) | (rubs & (sticks != now.sticks))
+        other |= rubs & ~sticks & ((way * now.way).sum(axis=0) <= 0)
         other &= self.valid
         if other.any():
             error, _, _, least = self.law(y, f, every, states)
             other &= (np.abs(error) > least).any(axis=0)
         return self._of_all(other)
 
+    def _pressed_by(self, by_y) -> Sparse:
+        bears, rows = self._bears_of_units, np.arange(1, self._n)[:, None]
+        values = by_y[1:, self._n][:, bears.i] * bears.values
+        i, j = np.broadcast_arrays(len(self.g) * rows + bears.i, bears.j)
+        return Sparse(i.ravel(), j.ravel(), values.ravel())
+
+    @property
+    def _bears_of_units(self) -> Sparse:
+        """Normal forces by pressures, both in the units of :meth:`law`."""
+        bears, unit = self._bears, self._per_unit[0] / self._root
+        use = self._own_areas[bears.i] > 0
+        return replace(bears, values=bears.values * unit[bears.j]).some(use)
+
     def _states(self, y, f, at):
-        """What is closed, what sticks, and directions of slip; arguments as :meth:`law`."""
+        """What is closed, has pressure, sticks, directions of slip; arguments as :meth:`law`."""
         root = self._root
         closed = f[0] > y[0]
+        rubs = closed | (self._shares[at] & (y[-1] > 0))
         if self._soft:
-            reach = root * self._elastic[:, at] + y[1:]
+            reach = root * self._elastic[:, at] + y[1:-1]
             size = lengths(reach.T)
-            return closed, size <= root * self._soft, -reach / np.where(size > 0, size, 1)
-        trial = f[1:] - y[1:]
+            way = -reach / np.where(size > 0, size, 1)
+            return closed, rubs, size <= root * self._soft, way
+        trial = f[1:] - y[1:-1]
         size = lengths(trial.T)
-        bound, _ = self._scaled_bounds(f[0] - np.minimum(y[0], 0), at)
+        share = (self._own_areas / np.where(self.valid, self.m, 1))[at]
+        bound, _ = self._scaled_bounds(y[-1] - share * np.minimum(y[0], 0), at)
         least, _ = self._least()
         none = np.maximum(EXCEEDS * bound, least[at])
         sticks = (size <= bound + np.where(self.state.sticks[at], none, -none)) & (self.mu[at] > 0)
-        return closed, sticks, trial / np.where(size > 0, size, 1)
+        return closed, rubs, sticks, trial / np.where(size > 0, size, 1)
 
     def _scaled_bounds(self, p, at):
         """The same in the units of :meth:`law`."""
-        return self._bounds(p, at, np.where(self.valid, self.m, 1)[at] / self._root)
+        sizes = self._own_areas
+        return self._bounds(p, at, np.where(sizes > 0, sizes, 1)[at] / self._root)
 
     def _first_order(self, y, f):
         """Errors of the laws in the states of the working set, their derivatives by y and f.
@@ -265,13 +339,15 @@ class FrictionRows(ContactRows):
         redundant.
         """
         now = self.state
-        states = now.active, now.sticks, now.way
-        error, by_y, by_f, _ = self.law(y, f, np.arange(len(self.g)), states)
+        states = now.active, self.rubs, now.sticks, now.way
+        every = np.arange(len(self.g))
+        error, by_y, by_f, _ = self.law(y, f, every, states)
         sticks = now.sticks
         if self._soft:  # without pressure before it sticks at first, else it could hold nothing
-            sticks = sticks & (self._scaled_bounds(f[0], np.arange(len(self.g)))[0] == 0)
-            error[1:] = np.where(sticks, y[1:], error[1:])
-            by_y[1:, 1:] = np.where(sticks, np.eye(self._n - 1)[..., None], by_y[1:, 1:])
+            sticks = sticks & (self._scaled_bounds(y[-1], every)[0] == 0)
+            error[1:] = np.where(sticks, y[1:-1], error[1:])
+            by_y[1:, 1:-1] = np.where(sticks, np.eye(self._n - 1)[..., None], by_y[1:, 1:-1])
+            by_y[1:, -1] = np.where(sticks, 0, by_y[1:, -1])
             by_f[1:] = np.where(sticks, 0, by_f[1:])
         for k in range(1, self._n):
             by_f[k, k] += NOTHING * sticks
@@ -284,55 +360,54 @@ class FrictionRows(ContactRows):
         """
         n, num, root = self._n, len(at), self._root
         error, least = np.zeros((2, n, num))
-        by_y, by_f = np.zeros((2, n, n, num))
-        closed, sticks, way = self._states(y, f, at) if states is None else states
+        by_y, by_f = np.zeros((n, n + 1, num)), np.zeros((n, n, num))
+        closed, rubs, sticks, way = self._states(y, f, at) if states is None else states
         error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at, (closed,))
         force, length = self._least()
         one = np.eye(n - 1)[..., None]
-        bound, slope = self._scaled_bounds(f[0], at)
+        bound, slope = self._scaled_bounds(y[-1], at)
         none = np.maximum(EXCEEDS * bound, force[at])
         across = one - way[:, None] * way
         if self._soft:
-            reach, soft = root * self._elastic[:, at] + y[1:], root * self._soft
+            reach, soft = root * self._elastic[:, at] + y[1:-1], root * self._soft
             size = np.maximum(lengths(reach.T), soft)
             error[1:] = f[1:] + bound * reach / size
-            by_y[1:, 1:] = bound / size * np.where(sticks, one, across)
+            by_y[1:, 1:-1] = bound / size * np.where(sticks, one, across)
             by_f[1:, 1:] = one
-            by_f[1:, 0] = slope * reach / size
+            by_y[1:, -1] = slope * reach / size
             least[1:] = none
         else:
-            size = lengths((f[1:] - y[1:]).T)
+            size = lengths((f[1:] - y[1:-1]).T)
             turn = np.minimum(bound / np.maximum(size, 1e-300), 1) * across
-            error[1:] = np.where(sticks, y[1:], f[1:] - bound * way)
-            by_y[1:, 1:] = np.where(sticks, one, turn)
+            error[1:] = np.where(sticks, y[1:-1], f[1:] - bound * way)
+            by_y[1:, 1:-1] = np.where(sticks, one, turn)
             by_f[1:, 1:] = np.where(sticks, 0, one - turn)
-            by_f[1:, 0] = np.where(sticks, 0, -slope * way)
+            by_y[1:, -1] = np.where(sticks, 0, -slope * way)
             least[1:] = np.where(sticks, length, none)
-        error[1:] = np.where(closed, error[1:], f[1:])
-        by_y[1:] = np.where(closed, by_y[1:], 0)
-        by_f[1:, 0] = np.where(closed, by_f[1:, 0], 0)
-        by_f[1:, 1:] = np.where(closed, by_f[1:, 1:], one)
-        least[1:] = np.where(closed, least[1:], force[at])
+        error[1:] = np.where(rubs, error[1:], f[1:])
+        by_y[1:] = np.where(rubs, by_y[1:], 0)
+        by_f[1:, 1:] = np.where(rubs, by_f[1:, 1:], one)
+        least[1:] = np.where(rubs, least[1:], force[at])
         return error, by_y, by_f, least
 
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
         num, now = len(self.g), self.state
         super().accept(y[:num], f[:num], changed[:num])
-        y, f, changed = (v.reshape(self._n, -1) for v in (y, f, changed))
+        y, f, changed = (v.reshape(-1, num) for v in (y, f, changed))
         if changed.any():
-            _, sticks, way = self._states(y, f, np.arange(num))
+            *_, sticks, way = self._states(y, f, np.arange(num))
             now.sticks = np.where(changed[0], sticks, now.sticks)
             now.way = np.where(changed[0], way, now.way)
-        now.q = np.where(now.active, f[1:], 0) * self._per_unit
+        now.q = np.where(self.rubs, f[1:], 0) * self._per_unit[1:]
 
     def guess(self, y, f, changed):
         """Take a solution as a guess, with its directions of slip."""
         num, now = len(self.g), self.state
         sticks = self._goes_along(y) & changed[:num] & (self.mu > 0)
         super().guess(y, f, changed)
-        y, f = (v.reshape(self._n, -1) for v in (y, f))
-        now.way = self._states(y, f, np.arange(num))[2]
+        y, f = (v.reshape(-1, num) for v in (y, f))
+        now.way = self._states(y, f, np.arange(num))[3]
         now.sticks |= sticks
 
     def _goes_along(self, y) -> npt.NDArray[np.bool_]:
@@ -340,8 +415,8 @@ class FrictionRows(ContactRows):
 
         They stick next. If they slipped the other way, they could turn back again, and so on.
         """
-        now, along = self.state, (y.reshape(self._n, -1)[1:] * self.state.way).sum(axis=0) > 0
-        return along & now.active & ~now.sticks & (self._soft == 0)
+        now, along = self.state, (y.reshape(-1, len(self.g))[1:-1] * self.state.way).sum(axis=0) > 0
+        return along & self.rubs & ~now.sticks & (self._soft == 0)
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:
@@ -360,7 +435,7 @@ class FrictionRows(ContactRows):
 
     def _curvature(self) -> Sparse:
         assert self.state.opening is not None
-        acts = self.state.active & (self.state.p > 0)
+        acts = self.rubs & (self.pressed > 0)
         q = np.stack([self.spread(q * acts) for q in self.state.q])
         H = self.state.opening.slip_curvature(self.u, q, self.condensed_to)
         return joined(super()._curvature(), H)
@@ -373,20 +448,20 @@ class FrictionRows(ContactRows):
         Slip must oppose q there. It is along q where a body has turned back. Where μ p is no force,
         all slips are right.
         """
-        now = self.state
-        bound, _ = self._bounds(now.p)
-        presses = bound * self.m > nothing
+        now, rubs = self.state, self.rubs
+        bound, _ = self._bounds(self.pressed)
+        presses = bound * self._sizes > nothing
         rigid, target = self.stuck, bound * now.way
         if self._soft:
-            rigid = np.zeros_like(now.active)
+            rigid = np.zeros_like(rubs)
             target = -bound * self._shortened() / self._soft
         slip = np.abs(self.slip[:, rigid & presses]).max(initial=0)
         if not self._soft:
             along = (self.slip * now.way).sum(axis=0)
-            slip = max(slip, along[now.active & ~rigid & presses].max(initial=0))
+            slip = max(slip, along[rubs & ~rigid & presses].max(initial=0))
         error = np.abs(now.q - target)
         none = max(EXCEEDS * bound.max(initial=0), self._zero)
-        wrong = now.active & ~rigid & (error > none) & (error * self.m > nothing)
+        wrong = rubs & ~rigid & (error > none) & (error * self._sizes > nothing)
         return super().is_closed(nothing) and slip <= self.closed and not wrong.any()
 
     @property
@@ -401,6 +476,6 @@ class FrictionRows(ContactRows):
             nothing: Force treated as zero.
         """
         size = lengths(self.state.q.T)
-        bound, _ = self._bounds(self.state.p)
+        bound, _ = self._bounds(self.pressed)
         excess = np.where(self.stuck, size - bound - EXCEEDS * bound.max(initial=0), 0)
-        return bool((excess * self.m > nothing).any())
+        return bool((excess * self._sizes > nothing).any())

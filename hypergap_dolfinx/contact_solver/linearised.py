@@ -18,11 +18,13 @@ it joins. If there is none, the linearised problem has no solution.
 
 With friction a multiplier has n equations: one of the gap, the others of its slip, which sticks or
 slips. A multiplier with a wrong state gets n unknowns. The small problem then contains Coulomb's
-law, and is solved by Newton's method with a line search.
+law, and is solved by Newton's method with a line search. The normal forces that bound friction at a
+vertex are sums of several multipliers. So they are found with gaps and slips, behind these.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -70,15 +72,16 @@ class _Laws:
 
     error: Array
     are_satisfied: bool
-    parts: list[tuple[npt.NDArray[np.intp], Array, Array]]
-    """By contact the places of its unknowns, and derivatives by gaps and by multipliers."""
+    parts: list[tuple[npt.NDArray[np.intp], tuple[npt.NDArray, Array], tuple[npt.NDArray, Array]]]
+    """By contact the places of its unknowns; places of gaps, and derivatives by these; the same of
+    multipliers."""
 
     def slope(self, A: Array, B: Array) -> Array:
         """Derivative by unknowns, of which A and B are those of multipliers and gaps."""
         found = np.zeros_like(A)
         for rows, *parts in self.parts:
-            for by, matrix in zip(parts, (B, A), strict=True):
-                found[rows.T] += by.transpose(2, 0, 1) @ matrix[rows.T]
+            for (at, by), matrix in zip(parts, (B, A), strict=True):
+                found[rows.T] += by.transpose(2, 0, 1) @ matrix[at.T]
         return found
 
 
@@ -111,6 +114,9 @@ class LinearisedContact:
         self._comm = rows[0].spaces[0].mesh.comm
         self._on = np.concatenate([part.is_in for part in rows])
         self._ends = np.cumsum([0, *(part.num_unknowns for part in rows)])
+        self._starts = np.cumsum([0, *(part.num_lengths for part in rows)])
+        each = zip(self._starts, rows, strict=False)
+        self._own = np.concatenate([at + np.arange(part.num_unknowns) for at, part in each])
 
     def solve(
         self,
@@ -189,7 +195,7 @@ class LinearisedContact:
             return replace(self._found(changes, y, f, more, f), is_guess=True)
         y0, f0, of, z = y, f, np.empty(0, dtype=np.intp), np.empty(0)
         gaps, forces, loads = self._watched()
-        A, B = np.empty((len(y), 0)), np.empty((len(y), 0))
+        A, B = np.empty((len(f), 0)), np.empty((len(y), 0))
         while len(more):
             by_f, by_y = self._columns(self._tangent.responses(loads, more), gaps, forces, more)
             A, B, of = np.hstack((A, by_f)), np.hstack((B, by_y)), np.append(of, more)
@@ -206,7 +212,7 @@ class LinearisedContact:
             more = self._first_along(y, f, B @ found, A @ found, of) if holds else more[:0]
             if not len(more):
                 return self._found(changes, y0, f0, of, f0, solved=False)
-        unknowns = np.zeros(len(y))
+        unknowns = np.zeros(len(f))
         unknowns[of] = z
         beside = np.bincount(loads.j, loads.values * unknowns[loads.i], self._tangent.num_local)
         changes, _, now = self._base(right, shift, beside=beside, anew=True)
@@ -214,6 +220,7 @@ class LinearisedContact:
 
     def _first_along(self, y, f, by_y, by_f, of) -> npt.NDArray[np.intp]:
         """Number of the first row, not one of these, that gets a wrong sign along a ray, if any."""
+        y, by_y = y[self._own], by_y[self._own]
         now, slope = np.where(self._on, (f, by_f), (y, by_y))
         largest = np.where(self._on, *(np.abs(by).max(initial=0) for by in (by_f, by_y)))
         falls = np.concatenate([np.resize(p.valid, p.num_unknowns) for p in self._rows])
@@ -224,10 +231,13 @@ class LinearisedContact:
 
     def _watched(self) -> list[Sparse]:
         """Gaps and multipliers by this rank's unknowns of the matrix, and right-hand sides."""
-        sizes = [part.num_unknowns for part in self._rows]
         return [
-            self._tangent.watch([getattr(p, name)() for p in self._rows], sizes)
-            for name in ("watched_gaps", "watched_forces", "loads")
+            self._tangent.watch([getattr(p, name)() for p in self._rows], np.diff(ends).tolist())
+            for name, ends in (
+                ("watched_gaps", self._starts),
+                ("watched_forces", self._ends),
+                ("loads", self._ends),
+            )
         ]
 
     def _columns(self, x: Array, gaps: Sparse, forces: Sparse, of) -> tuple[Array, Array]:
@@ -240,12 +250,15 @@ class LinearisedContact:
             of: Numbers of the new unknowns.
         """
         num = len(self._on)
-        both = np.stack([-forces.products(x, num), gaps.products(x, num)])
+        both = np.hstack([-forces.products(x, num), gaps.products(x, self._starts[-1])])
         self._comm.Allreduce(MPI.IN_PLACE, both)
-        by_f, by_y = both.swapaxes(1, 2)
+        by_f, by_y = both.T[:num], both.T[num:]
         by_f[of, np.arange(len(of))] += ~self._on[of]
-        give = np.concatenate([part.give() for part in self._rows])
-        return by_f, by_y + give[:, None] * by_f
+        return by_f, by_y + self._given(self._split(by_f, self._ends))
+
+    def _given(self, f: list[Array]) -> Array:
+        """What each contact's multipliers add to its gaps."""
+        return np.concatenate([p.given(of) for p, of in zip(self._rows, f, strict=True)])
 
     def _lcp(self, y0, f0, A, B, of, z) -> tuple[Array, bool]:
         """The unknowns without friction: pressures outside of the working set, slacks in it."""
@@ -261,15 +274,20 @@ class LinearisedContact:
         With a large one there is one solution, multipliers of zero. Gaps have the round-off of the
         compliance times A. A step of the path that fails is halved.
         """
-        y0, f0, A, B = y0[of], f0[of], A[of], B[of]
-        found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B).max())
+        own, forces = slice(len(of)), [more.ravel() for *_, more in self._vertices(of)]
+        watched = np.concatenate((self._own[of], *forces))
+        y0, f0, A, B = y0[watched], f0[of], A[of], B[watched]
+        found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B[own]).max())
         if found is not None:
             return found, True
         z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=PIVOT)[0], -1.0, 1.0, 0
         while failures < TRIALS:
             share = give * SHORTENED**power if power < 2 * TRIALS else 0.0
             zero = 1 + share * np.abs(A).max()
-            found = self._newton(y0 + share * f0, f0, A, B + share * A, of, z, zero)
+            soft, by_z = y0.copy(), B.copy()
+            soft[own] += share * f0
+            by_z[own] += share * A
+            found = self._newton(soft, f0, A, by_z, of, z, zero)
             if found is None:
                 step, failures = step / 2, failures + 1
                 power -= step
@@ -318,22 +336,33 @@ class LinearisedContact:
                 return None  # nothing holds what went far
         return None
 
-    def _laws(self, y, f, of, zero=1.0) -> "_Laws":
-        """Laws of some unknowns at their gaps and multipliers, ``(len(of),)`` each."""
-        found, start = _Laws(np.zeros(len(of)), True, []), 0
+    def _vertices(self, of):
+        """Contacts with unknowns among these.
+
+        Yields:
+            Each contact, numbers of its vertices, places of their unknowns in ``of``, and numbers
+            of the normal forces that bound friction there, if it has any.
+        """
         place = np.full(self._on.shape, -1)
         place[of] = np.arange(len(of))
-        for part in self._rows:
-            places = place[start : start + part.num_unknowns].reshape(-1, len(part.g))
-            start += part.num_unknowns
+        each = zip(self._rows, self._split(place, self._ends), self._starts, strict=False)
+        for part, places, start in each:
+            places = places.reshape(-1, len(part.g))
             at = np.flatnonzero(places[0] >= 0)
-            if not len(at):
-                continue
-            rows = places[:, at]
-            error, by_y, by_f, least = part.law(y[rows], f[rows], at)
+            more = start + np.arange(part.num_unknowns, part.num_lengths).reshape(-1, len(part.g))
+            if len(at):
+                yield part, at, places[:, at], more[:, at]
+
+    def _laws(self, y, f, of, zero=1.0) -> "_Laws":
+        """Laws of some unknowns at their gaps, slips and normal forces, and multipliers."""
+        found, end = _Laws(np.zeros(len(of)), True, []), len(of)
+        for part, at, rows, more in self._vertices(of):
+            forces = np.arange(end, end + more.size).reshape(more.shape)
+            known, end = np.vstack((rows, forces)), end + more.size
+            error, by_y, by_f, least = part.law(y[known], f[rows], at)
             found.error[rows] = error
             found.are_satisfied &= bool((np.abs(error) <= zero * least).all())
-            found.parts.append((rows, by_y, by_f))
+            found.parts.append((rows, (known, by_y), (rows, by_f)))
         return found
 
     def _base(self, right, shift, **options) -> tuple[list[Array], Array, Array]:
@@ -344,23 +373,26 @@ class LinearisedContact:
             root * np.where(part.is_in, values, 0)
             for part, values in zip(self._rows, unknowns, strict=True)
         ]
-        y = [
-            part.new_gaps(changes) + part.give() * force
-            for part, force in zip(self._rows, f, strict=True)
-        ]
-        return changes, np.concatenate(y), np.concatenate(f)
+        y = np.concatenate([part.new_gaps(changes) for part in self._rows]) + self._given(f)
+        return changes, y, np.concatenate(f)
 
     def _wrong(self, y: Array, f: Array) -> npt.NDArray[np.intp]:
         """Numbers of the unknowns whose state is another one than in the working set."""
-        parts = zip(self._rows, self._split(y), self._split(f), strict=True)
+        parts = zip(self._rows, *self._both(y, f), strict=True)
         return np.flatnonzero(np.concatenate([part.wrong(*of) for part, *of in parts]))
 
-    def _split(self, values: npt.NDArray) -> list[npt.NDArray]:
+    @staticmethod
+    def _split(values: npt.NDArray, ends: npt.NDArray) -> list[npt.NDArray]:
         """Values by contact."""
-        return [values[a:b] for a, b in zip(self._ends, self._ends[1:])]
+        return [values[a:b] for a, b in pairwise(ends)]
+
+    def _both(self, y: Array, f: Array) -> tuple[list[Array], list[Array]]:
+        """Gaps and multipliers by contact."""
+        return self._split(y, self._starts), self._split(f, self._ends)
 
     def _found(self, changes, y, f, of, base, *, solved: bool = True) -> Solution:
-        changed = np.zeros(len(y), dtype=bool)
+        changed = np.zeros(len(f), dtype=bool)
         changed[of] = True
-        new, now, mask, before = (self._split(part) for part in (y, f, changed, base))
+        new, now = self._both(y, f)
+        mask, before = (self._split(part, self._ends) for part in (changed, base))
         return Solution(changes, new, now, mask, solved, leaves=False, base=before)

@@ -18,6 +18,7 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Contact, ContactProblem, SolveError
+from hypergap_dolfinx.contact_geometry import blending
 from hypergap_dolfinx.contact_geometry import space as columns
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
@@ -74,11 +75,11 @@ def slip_of(opening, sides, u, rng, positions):
     "options", (*plane.SCENES[1:3], *plane.REVOLVED, *plane.RARE[::2], plane.ARCS)
 )
 def test_slip(options):
-    """A rotation's slip is the gap: so moments of friction balance where it is closed."""
+    """A rotation's slip is the vertex' own gap: moments of friction balance where it is closed."""
     sides, u, rng = plane.scene(**options)
     opening = PlaneSegments.between(sides, u)
     turned = slip_of(opening, sides, u, rng, plane._positions)
-    close(turned[0], -opening.gap(u)[0], 1e-12)
+    close(turned[0], -opening._at(u)._g, 1e-12)
 
 
 def test_slip_in_space(monkeypatch):
@@ -89,6 +90,44 @@ def test_slip_in_space(monkeypatch):
     monkeypatch.setattr(columns, "directions", lambda *_: fixed)
     slip_of(opening, sides, u, rng, space._positions)
     close(np.einsum("aki,ali->akl", fixed, fixed), np.tile(np.eye(2), (len(fixed), 1, 1)))
+
+
+def on_an_end(part, sliver):
+    """Forces on a block that is turned and slid; an end of Γ0 covers so much of some vertices."""
+    u, F, bcs, sides = [], [], [], []
+    for i in (0, 1):
+
+        def place(x, i=i):
+            x = x / [1, 1, 2] + [0, 0, (i - 1) / 2]
+            return x if i else x * [1.25 + part, 1.6, 1] - [0.5, 0.3, 0]
+
+        mesh, ft = meshes.block(comm, (3 - i, 3 - i, 2), place, cell="hexahedron")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        body, goal = Elastic.on(V, (1.0, 1.0)), fem.Function(V)
+        if i:
+            goal.interpolate(
+                lambda x: [0.02 - 0.15 * (x[1] - 0.5), 0.01 + 0.15 * (x[0] - 0.5), 0 * x[0] - 0.05]
+            )
+        bcs.append(fem.dirichletbc(goal, fem.locate_dofs_topological(V, 2, ft.find(5 + i))))
+        u.append(body.u)
+        F.append(body.F)
+        sides.append((V, ft.find(6 - i)))
+    contact = Contact(*sides, friction=0.3, sliding="small")
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-11)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(blending, "SLIVER", sliver)
+        problem.solve()
+    return problem.rows(contact).contact_forces()[1]
+
+
+def test_end_of_the_other_side():
+    """As less and less of a vertex is covered, forces become those without its row.
+
+    Its neighbours slip in different directions, and its row takes pressure from them.
+    """
+    part = 1e-5
+    forces, without = on_an_end(part, 1e-14), on_an_end(part, 0.5)
+    assert np.abs(forces - without).max() <= 2 * part * np.abs(without).max()
 
 
 def rotating(dim, swap=False, rigid=False, solver=None, **options):
