@@ -102,8 +102,8 @@ def _tables(geometry: basix.ufl._ElementBase, degree: int) -> GapElement:
     return GapElement.with_quadrature(element, element, degree)
 
 
-def _areas(slab: Slab, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Least N · n of each cell with curved geometry, over its longest edge², and its integral.
+def _areas(slab: Slab, nodes) -> tuple[npt.NDArray[np.float64], ...]:
+    """Least N · n of each cell with curved geometry, over its longest edge²; ∫ N · n and ∫ |N|.
 
     Its nodes, ``(num_cells, num_nodes, 3)``, are given as if no edges were straight.
     """
@@ -117,7 +117,8 @@ def _areas(slab: Slab, nodes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.f
     N, _ = geometry_at_points(tables, x, slab.alpha[slab.cells])
     scale = ((v[:, 1:] - v[:, :1]) ** 2).sum(axis=2).max(axis=1)
     along = np.einsum("cpi,ci->cp", N, slab.normal)
-    return along.min(axis=1) / scale, along @ tables.weights
+    whole = np.linalg.norm(N, axis=2) @ tables.weights
+    return along.min(axis=1) / scale, along @ tables.weights, whole
 
 
 class _Margins:
@@ -143,17 +144,15 @@ class _Margins:
         return values
 
     def excess(self, filling: Filling) -> float:
-        """Area by which straight edges enlarge the cells."""
+        """Area by which straight edges enlarge the cells: they may lean, where others may fold."""
         moved = np.flatnonzero(marked(filling.cells, filling.straight).any(axis=1))
         if not len(moved):
             return 0.0
         some = filling.with_cells(filling.cells[moved])
         nodes = self._nodes[self._find(some)]
-        curved, straight = (
-            _areas(_slab(self.sides, part), nodes)[1].sum()
-            for part in (replace(some, straight=NONE), some)
-        )
-        return float(straight - curved)
+        _, curved, _ = _areas(_slab(self.sides, replace(some, straight=NONE)), nodes)
+        _, _, straight = _areas(_slab(self.sides, some), nodes)
+        return float(straight.sum() - curved.sum())
 
     def _find(self, filling: Filling) -> npt.NDArray[np.intp]:
         """Numbers of cells in the cache; cells that aren't there yet are added."""
