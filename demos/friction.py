@@ -224,20 +224,31 @@ def cattaneo(comm, cells, degree=1, ratio=0.75, picture=None):
     order = np.argsort(x)
     at = np.linspace(-1.2 * half, 1.2 * half, 20001)
     error = np.interp(at, x[order], q[order]) - exact(at)
+    shears = contact.shear(pair, on="surface")  # with edges between nodes
+    V = shears.function_space
+    ends = V.tabulate_dof_coordinates()[V.dofmap.list][..., 0]  # (cell, end)
+    values = np.abs(shears.x.array.reshape(-1, 2)[V.dofmap.list][..., 0])
+    ends, values = (np.concatenate(comm.allgather(part)) for part in (ends, values))
+    share = np.array((0.2113, 0.7887))  # two points of Gauss
+    share = np.stack((1 - share, share))
+    known = exact(ends @ share)
+    square = (np.stack((values @ share - known, known)) ** 2).sum(axis=2)
+    on_surface = (square * np.abs(np.diff(ends, axis=1))[:, 0]).sum(axis=1)
     if picture:
-        draw(x, contact, pair, exact, inner, picture)
+        draw(x, contact, pair, exact, inner, (ends, values), picture)
     stuck = np.abs(x[contact.sticking]).max(initial=0)
     return {
         "scene": "cattaneo",
         "cells": cells,
         "l2_shear": float(np.sqrt((error**2).sum() / (exact(at) ** 2).sum())),
+        "l2_surface": float(np.sqrt(on_surface[0] / on_surface[1])),
         "off": float((stuck - inner) / h),
         "q_over_mu_p": float(abs(shear) / (MU * force)),
         "steps": steps,
     }
 
 
-def draw(x, contact, pair, exact, inner, picture):
+def draw(x, contact, pair, exact, inner, drawn, picture):
     """Shear beside pressure, and where it sticks."""
     import matplotlib
 
@@ -255,6 +266,9 @@ def draw(x, contact, pair, exact, inner, picture):
     at = np.linspace(-1.3 * a, 1.3 * a, 1000)
     axes.plot(at / a, exact(at) / scale, color="0.4", lw=1, label="exact shear")
     axes.plot(x[order] / a, MU * p[order] / scale, "C0", lw=1, label="μ times pressure")
+    ends, values = drawn
+    order = np.argsort(ends.mean(axis=1))
+    axes.plot(ends[order].ravel() / a, values[order].ravel() / scale, "C1", label="on the surface")
     for which, name, marker in (
         (contact.sticking, "shear, sticks", "C2o"),
         (contact.slipping, "shear, slips", "C3o"),

@@ -217,6 +217,24 @@ class FrictionRows(ContactRows):
         """Mask of vertices that stick under pressure."""
         return self.rubs & self.state.sticks
 
+    @property
+    def slips(self) -> npt.NDArray[np.bool_]:
+        """Mask of vertices that slip under pressure."""
+        return self.rubs & ~self.state.sticks & (self._bounds(self.pressed)[0] > 0)
+
+    def margins(self, ways: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """What friction could still give along directions where it sticks, ``(num_multipliers,)``.
+
+        Nothing sticks with an elastic slip, which has no edge.
+
+        Args:
+            ways: Unit directions at vertices, 0 where none is asked for, ``(num_vertices, n)``.
+        """
+        q = np.einsum("ka,kai->ai", self.state.q, self.tangents)
+        left = self._bounds(self.pressed)[0] - (q * ways).sum(axis=1)
+        asked = self.stuck & (lengths(ways) > 0) & (self._soft == 0)
+        return np.where(asked, np.maximum(left, 0), 0)
+
     def stick(self) -> bool:
         """Make all multipliers stick where nothing else would hold a body; true if one slipped."""
         before, self.state.sticks = self.stuck, self.mu > 0

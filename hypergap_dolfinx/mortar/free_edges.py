@@ -94,8 +94,13 @@ class SurfacePressure:
     """These, and facets of parts without a root, which are drawn as finely, ``(num_facets,)``."""
 
     @classmethod
-    def of(cls, state: ContactState) -> "SurfacePressure":
-        """The pressure of a contact."""
+    def of(cls, state: ContactState, missed: float = np.inf) -> "SurfacePressure":
+        """The pressure of a contact.
+
+        Args:
+            state: The contact.
+            missed: Root mean square error of facets' forces, relative, of a root that isn't drawn.
+        """
         rooted, inner = _near_free_edges(state)
         s = np.where(state.p > 0, state.p, 0) ** 2
         steep = rooted[state.surface.facets].any(axis=1)
@@ -104,7 +109,9 @@ class SurfacePressure:
         rooted &= (falls & (mean > 0))[state.vertices]  # not in a part that touches without load
         near = rooted[state.surface.facets].any(axis=1)
         if rooted.any():
-            s = _RootFit(state, rooted, near, mean, part).solve(s)
+            fit = _RootFit(state, rooted, near, mean, part)
+            s = fit.solve(s)
+            near[near] = fit.is_met(s, missed)
         return cls(state.surface, state.p, s, near, steep)
 
     def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
@@ -122,17 +129,8 @@ class SurfacePressure:
             q: Tractions at vertices, likewise.
         """
         known = self.p > 0
-        result = np.divide(q, self.p[:, None], out=np.zeros_like(q), where=known[:, None])
-        facets = self.surface.facets
-        for _ in range(_rings(self.surface) + 1):
-            count, total = np.zeros(len(q)), np.zeros_like(q)
-            on = known[facets]
-            np.add.at(count, facets, on.sum(axis=1)[:, None])
-            np.add.at(total, facets, (result[facets] * on[..., None]).sum(axis=1)[:, None])
-            new = ~known & (count > 0)
-            result[new] = total[new] / count[new, None]
-            known = known | new
-        return result
+        ratio = np.divide(q, self.p[:, None], out=np.zeros_like(q), where=known[:, None])
+        return continued(self.surface, ratio, known, _rings(self.surface) + 1)
 
     def times(self, q: Floats, ratios: Floats, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
         """Tractions of friction, as :meth:`on`, ``(num_facets, num_points, n)``.
@@ -154,10 +152,81 @@ class SurfacePressure:
             Facets, ``(num,)``, and reference coordinates of the corners of each one's simplices,
             ``(num_simplices, dim + 1, dim)``: facets as they are, and steep ones.
         """
-        kind = self.surface.geometry.cell_type
-        parts = PARTS_ROOT[self.surface.gdim - 2]
-        given = ((~self.steep, 1), (self.steep, parts))
-        return [(np.flatnonzero(on), simplices(kind, num)) for on, num in given]
+        return _cells(self.surface, self.steep)
+
+
+@dataclass(frozen=True)
+class SurfaceShear:
+    r"""A traction of friction on Γ1's facets.
+
+    Where surfaces slip in a direction t, :math:`q = \mu p\,t`. Where they stick beside that,
+    :math:`r = \mu p - q \cdot t` is what friction could still give. It goes to zero at the edge
+    between stick and slip as a pressure does at a free edge of contact (Cattaneo 1938, Mindlin
+    1949: it is the pressure of a smaller contact). Beside these edges :math:`q + r\,t` and r are
+    interpolated apart, r with its root.
+    """
+
+    pressure: SurfacePressure
+    q: Floats
+    """At vertices, ``(num_vertices, n)``."""
+    way: Floats
+    """Unit direction t of slip, ``(num_vertices, n)``, 0 far from what slips."""
+    margin: SurfacePressure
+    """r."""
+
+    def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
+        """Tractions at the same reference points X, ``(num_facets, num_points, n)``."""
+        p, r = self.pressure, self.margin
+        full = self.q + r.p[:, None] * self.way
+        ways = hats(r.surface, X) @ self.way[r.surface.facets[facets]]
+        beside = p.times(full, p.ratios(full), facets, X) - r.on(facets, X)[..., None] * ways
+        away = p.times(self.q, p.ratios(self.q), facets, X)
+        return np.where(r.near[facets, None, None], beside, away)
+
+    def cells(self) -> "list[tuple[npt.NDArray[np.intp], Floats]]":
+        """Facets and simplices on them, as those of a pressure."""
+        return _cells(self.pressure.surface, self.pressure.steep | self.margin.steep)
+
+
+def directions(surface: Surface, q: Floats, slips: Mask) -> Floats:
+    """Unit directions of slip, also beside what slips, ``(num_vertices, n)``; 0 far from it.
+
+    Args:
+        surface: The surface.
+        q: Tractions of friction, likewise.
+        slips: Vertices that slip, ``(num_vertices,)``.
+    """
+    ways = continued(surface, q, slips, 2 * (_rings(surface) + 2))
+    return ways / np.maximum(lengths(ways), 1e-300)[:, None]
+
+
+def continued(surface: Surface, values: Floats, known: Mask, rings: int) -> Floats:
+    """Values at vertices in some rings of facets around known ones: means of neighbours'.
+
+    Args:
+        surface: The surface.
+        values: Values, ``(num_vertices, num)``.
+        known: Where they are known, ``(num_vertices,)``.
+        rings: Number of rings.
+    """
+    values, facets = np.where(known[:, None], values, 0), surface.facets
+    for _ in range(rings):
+        count, total = np.zeros(len(values)), np.zeros_like(values)
+        on = known[facets]
+        np.add.at(count, facets, on.sum(axis=1)[:, None])
+        np.add.at(total, facets, (values[facets] * on[..., None]).sum(axis=1)[:, None])
+        new = ~known & (count > 0)
+        values[new] = total[new] / count[new, None]
+        known = known | new
+    return values
+
+
+def _cells(surface: Surface, steep: Mask) -> "list[tuple[npt.NDArray[np.intp], Floats]]":
+    """Facets and simplices on them; arguments: the surface, and the facets drawn finely."""
+    kind = surface.geometry.cell_type
+    parts = PARTS_ROOT[surface.gdim - 2]
+    given = ((~steep, 1), (steep, parts))
+    return [(np.flatnonzero(on), simplices(kind, num)) for on, num in given]
 
 
 def hats(surface: Surface, X: Floats) -> Floats:
@@ -304,6 +373,19 @@ class _RootFit:
             D.j[use],
             SMOOTH_ROOT[surface.gdim - 2] * D.values[use] / mean[D.i[use]] ** 2,
         )
+
+    def is_met(self, s: Floats, missed: float) -> Mask:
+        """Mask of facets with roots in whose part the forces are met, ``(num_facets,)``.
+
+        Args:
+            s: Found at vertices.
+            missed: Error that is too large.
+        """
+        error, _ = self._errors(s)
+        num = len(self.facets)
+        part = self.totals[self.at[:, 0]] - num
+        square, count = np.bincount(part, error[:num] ** 2), np.maximum(np.bincount(part), 1)
+        return (square / count <= missed**2)[part]
 
     def _errors(self, s: Floats) -> tuple[Floats, Sparse]:
         """Weighted errors, and their derivatives by s over squares of mean pressures."""

@@ -35,6 +35,7 @@ from hypergap_dolfinx.mortar.free_edges import (
     hats,
     simplices,
 )
+from hypergap_dolfinx.mortar.tolerances import MISSED_ROOT
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
 
@@ -246,6 +247,10 @@ def test_root_at_a_free_edge(kind, degree):
     inside = np.zeros_like(active)
     inside[surface.facets[active[surface.facets].any(axis=1)]] = True
     assert near.any() and np.abs(found.s - s)[inside].max() <= 5e-3
+    noise = np.random.default_rng(0).uniform(0, 2, forces.shape)
+    rough = replace(state, forces=noise * state.forces)  # what no root has
+    drawn = [SurfacePressure.of(given, MISSED_ROOT).near.any() for given in (state, rough)]
+    assert drawn == [True, False]
 
 
 @pytest.mark.parametrize("kind", ("edges", "triangles"))
