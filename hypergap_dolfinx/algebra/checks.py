@@ -123,18 +123,16 @@ def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
 
 
 def turned_over(u: fem.Function) -> npt.NDArray[np.float64]:
-    """Middles of this rank's cells that displacements turn over at a corner, ``(num, n)``.
+    """Middles of this rank's cells that displacements turn over at a node, ``(num, n)``.
 
-    There is no Gauss point in corners: residuals are balanced even so. Places are those before
+    There is no Gauss point in nodes: residuals are balanced even so. Places are those before
     displacements; cells that were turned over already aren't among them.
     """
     V, mesh = u.function_space, u.function_space.mesh
     n, num = mesh.geometry.dim, mesh.topology.index_map(mesh.topology.dim).size_local
-    corners = basix.geometry(getattr(basix.CellType, mesh.topology.cell_name()))
     element, start = lagrange_element(V)[0], V.tabulate_dof_coordinates()[:, :n]
-    if element.dim == n + 1:
-        corners = corners[:1]  # det J is constant
-    given = element, V.dofmap.list[:num], corners, corners[:0]
+    points = element.points if element.dim > n + 1 else element.points[:1]  # det J is constant
+    given = element, V.dofmap.list[:num], points, points[:0]
     both = (_determinants(x, *given) for x in (start, start + u.x.array.reshape(-1, n)))
     found = [start[:0]]
     for (x, before, _), (_, after, _) in zip(*both, strict=True):

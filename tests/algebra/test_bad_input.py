@@ -414,6 +414,21 @@ def test_curved_cells_turned_over_at_their_edge(shift):
         checks.check_cells(mesh, "it", facets)
 
 
+def test_displacements_that_turn_over_the_middle_of_an_edge():
+    """At all corners of the cell det J is positive."""
+    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 2, (2,))))
+    nodes = u.function_space.dofmap.cell_dofs(0)
+    x = u.function_space.tabulate_dof_coordinates()[nodes, :2]
+    corners, middle = x[:3], (x[[1, 0, 0]] + x[[2, 2, 1]]) / 2
+    assert np.allclose(x[3:], middle)
+    moved = np.array([[-0.2, -0.3], [0, 0], [0.3, -0.1]])  # of the reference cell
+    away = moved @ (corners[1:] - corners[0])
+    for share, num in ((0, 0), (1, 1)):
+        u.x.array.reshape(-1, 2)[nodes[3:]] = share * away
+        assert len(checks.turned_over(u)) == num
+
+
 @two_ranks()
 def test_curved_cells_turned_over_at_a_corner(caplog):
     """On the interface they are refused, elsewhere told: no Gauss point is there."""
