@@ -450,8 +450,8 @@ class Contact(Settable):
             on: ``"sigma"``, ``"body"`` or ``"surface"`` as for :meth:`pressure`. On the surface,
                 near free edges, it is proportional to the pressure. Edges between what sticks and
                 what slips may lie within facets there, too: what friction could still give goes to
-                zero as a square root (without an elastic slip, and unless it misses the computed
-                forces by 3.5 % of the largest).
+                zero as a square root (in the plane, without an elastic slip, and unless it misses
+                the computed forces by 3.5 %, a root mean square).
 
         Returns:
             Force per area of the displaced Γ1.
@@ -586,14 +586,12 @@ class Contact(Settable):
         """Traction of friction on Γ1's facets, with roots at edges between stick and slip."""
         state = self._state(problem, rows)
         slips = rows.spread(rows.slips.astype(float)) > 0
+        slips &= not self.axisymmetric  # not tried enough there
         ways = directions(state.surface, rows.shears, slips)
-        margin = self._state_of(
-            rows,
-            rows.margins(ways),
-            rows.stuck,
-            exists=rows.spread(rows.rubs.astype(float)) > 0,
-            gaps=rows.spread(np.linalg.norm(rows.slipped, axis=1)),
-        )
+        alone = rows.is_alone
+        exists = rows.spread((rows.rubs & alone).astype(float)) > 0
+        none = np.zeros(len(rows.g))  # slips don't tell edges: they are those of the last step
+        margin = self._state_of(rows, rows.margins(ways), rows.stuck & alone, exists, none)
         p, r = SurfacePressure.of(state), SurfacePressure.of(margin, MISSED_ROOT)
         return SurfaceShear(p, self.shears(problem), ways, r)
 

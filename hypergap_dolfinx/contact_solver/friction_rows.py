@@ -222,17 +222,25 @@ class FrictionRows(ContactRows):
         """Mask of vertices that slip under pressure."""
         return self.rubs & ~self.state.sticks & (self._bounds(self.pressed)[0] > 0)
 
+    @property
+    def is_alone(self) -> npt.NDArray[np.bool_]:
+        """Mask of vertices that share no row with others, ``(num_multipliers,)``."""
+        shared = self._bears.some(self._bears.i != self._bears.j)
+        result = np.ones(len(self.g), dtype=bool)
+        result[shared.i] = result[shared.j] = False
+        return result
+
     def margins(self, ways: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """What friction could still give along directions where it sticks, ``(num_multipliers,)``.
 
-        Nothing sticks with an elastic slip, which has no edge.
+        Nothing sticks with an elastic slip, which has no edge. Vertices that share rows have 0.
 
         Args:
             ways: Unit directions at vertices, 0 where none is asked for, ``(num_vertices, n)``.
         """
         q = np.einsum("ka,kai->ai", self.state.q, self.tangents)
         left = self._bounds(self.pressed)[0] - (q * ways).sum(axis=1)
-        asked = self.stuck & (lengths(ways) > 0) & (self._soft == 0)
+        asked = self.stuck & self.is_alone & (lengths(ways) > 0) & (self._soft == 0)
         return np.where(asked, np.maximum(left, 0), 0)
 
     def stick(self) -> bool:

@@ -191,12 +191,17 @@ class SurfaceShear:
 def directions(surface: Surface, q: Floats, slips: Mask) -> Floats:
     """Unit directions of slip, also beside what slips, ``(num_vertices, n)``; 0 far from it.
 
+    All are 0 where they meet opposite ones, and in space, where they turn: μp − q·t isn't smooth.
+
     Args:
         surface: The surface.
         q: Tractions of friction, likewise.
         slips: Vertices that slip, ``(num_vertices,)``.
     """
     ways = continued(surface, q, slips, 2 * (_rings(surface) + 2))
+    first, last = ways[surface.facets[:, 0]], ways[surface.facets[:, -1]]
+    if surface.gdim > 2 or ((first * last).sum(axis=1) < 0).any():
+        return 0 * ways
     return ways / np.maximum(lengths(ways), 1e-300)[:, None]
 
 
@@ -482,6 +487,7 @@ def edges_by_gaps(state: ContactState) -> tuple[npt.NDArray[np.intp], Floats]:
             chain.append(after[chain[-1]])
         v, w, x, y = chain
         use = (y >= 0) & ~active[w] & ~active[x] & state.exists[w] & state.exists[x]
+        use &= gaps[x] > 0  # else nothing is known
         v, w, x, y = np.stack(chain)[:, use]
         steps = [lengths(surface.x[b] - surface.x[a]) for a, b in ((v, w), (w, x), (x, y))]
         at = np.cumsum([np.zeros(len(v)), *steps], axis=0)
