@@ -229,7 +229,7 @@ def cattaneo(comm, cells, degree=1, ratio=0.75, picture=None):
     ends = V.tabulate_dof_coordinates()[V.dofmap.list][..., 0]  # (cell, end)
     values = np.abs(shears.x.array.reshape(-1, 2)[V.dofmap.list][..., 0])
     ends, values = (np.concatenate(comm.allgather(part)) for part in (ends, values))
-    share = np.array((0.2113, 0.7887))  # two points of Gauss
+    share = (1 + np.polynomial.legendre.leggauss(2)[0]) / 2
     share = np.stack((1 - share, share))
     known = exact(ends @ share)
     square = (np.stack((values @ share - known, known)) ** 2).sum(axis=2)

@@ -416,7 +416,7 @@ class Contact(Settable):
         """
         rows = self._solved_rows(problem)
         if self._where(on, "surface") == "surface":
-            found = SurfacePressure.of(self._state(problem, rows))
+            found = SurfacePressure.of(self._state(rows))
             return self._drawn(found, rows, "pressure")
         if on == "body":
             return self._at_vertices(self.pressures(problem), "pressure")
@@ -584,18 +584,19 @@ class Contact(Settable):
 
     def _surface_shear(self, problem, rows: FrictionRows) -> SurfaceShear:
         """Traction of friction on Γ1's facets, with roots at edges between stick and slip."""
-        state = self._state(problem, rows)
-        slips = rows.spread(rows.slips.astype(float)) > 0
-        slips &= not self.axisymmetric  # not tried enough there
+        state, slips = self._state(rows), rows.spread(rows.slips.astype(float)) > 0
+        if self.axisymmetric or self._surfaces[1].gdim > 2:  # where slips turn r isn't smooth
+            slips[:] = False
         ways = directions(state.surface, rows.shears, slips)
-        alone = rows.is_alone
+        left, alone = rows.margins(ways), rows.is_alone
+        sticks = rows.stuck & alone & left.any()
         exists = rows.spread((rows.rubs & alone).astype(float)) > 0
         none = np.zeros(len(rows.g))  # slips don't tell edges: they are those of the last step
-        margin = self._state_of(rows, rows.margins(ways), rows.stuck & alone, exists, none)
+        margin = self._state_of(rows, left, sticks, exists, none)
         p, r = SurfacePressure.of(state), SurfacePressure.of(margin, MISSED_ROOT)
         return SurfaceShear(p, self.shears(problem), ways, r)
 
-    def _state(self, problem, rows: ContactRows) -> ContactState:
+    def _state(self, rows: ContactRows) -> ContactState:
         """Pressures at vertices."""
         now, exists = rows.state, rows.spread(rows.valid.astype(float)) > 0
         gaps = rows.spread(rows.distance)

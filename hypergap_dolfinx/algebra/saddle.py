@@ -179,11 +179,8 @@ class Errors:
         self._is_told = True
 
     def units_of_rows(self, x: PETSc.Vec) -> npt.NDArray:
-        """Units of this rank's rows, from :func:`scales`, where :meth:`residual` was asked for."""
-        parts = x.getNestSubVecs()
-        sizes = [part.getLocalSize() for part in parts]
-        destroy_parts(parts)
-        return np.repeat(self._units, sizes)
+        """Units of this rank's rows, where :meth:`residual` was asked for."""
+        return np.repeat(self._units, local_sizes(x))
 
     def _residuals(self, x: PETSc.Vec, b: PETSc.Vec) -> tuple[list[float], list[float]]:
         """|b − Ax| and |b| of each row of blocks. Collective."""
@@ -271,6 +268,14 @@ def _error_of_solution(ksp: PETSc.KSP, errors: Errors) -> float:
     # The KSP keeps its solution for those who ask later
     units, apply = errors.units_of_rows(x), ksp.getPC().apply
     return error_again(ksp.getOperators()[0], apply, x, len(units), units)
+
+
+def local_sizes(x: PETSc.Vec) -> list[int]:
+    """Numbers of this rank's entries in the parts of a nested vector."""
+    parts = x.getNestSubVecs()
+    sizes = [part.getLocalSize() for part in parts]
+    destroy_parts(parts)
+    return sizes
 
 
 def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Pressures on Γ1's facets, below these where contact has a free edge.
+r"""Pressures on Γ1's facets, below these where contact has a free edge, and shear of friction.
 
 Where two smooth surfaces part, p has a root: with the distance d from the edge :math:`p \sim
 \sqrt d`, so p² is linear there and p isn't, on no mesh. So near free edges
@@ -191,7 +191,7 @@ class SurfaceShear:
 def directions(surface: Surface, q: Floats, slips: Mask) -> Floats:
     """Unit directions of slip, also beside what slips, ``(num_vertices, n)``; 0 far from it.
 
-    All are 0 where they meet opposite ones, and in space, where they turn: μp − q·t isn't smooth.
+    All are 0 if some meet opposite ones: μp − q·t isn't smooth there.
 
     Args:
         surface: The surface.
@@ -200,7 +200,7 @@ def directions(surface: Surface, q: Floats, slips: Mask) -> Floats:
     """
     ways = continued(surface, q, slips, 2 * (_rings(surface) + 2))
     first, last = ways[surface.facets[:, 0]], ways[surface.facets[:, -1]]
-    if surface.gdim > 2 or ((first * last).sum(axis=1) < 0).any():
+    if ((first * last).sum(axis=1) < 0).any():
         return 0 * ways
     return ways / np.maximum(lengths(ways), 1e-300)[:, None]
 

@@ -77,7 +77,7 @@ Measured: Hertz's line, degree 1, a/2, 3, 5, 10: with 0 3.8e-2, 2.5e-2, 1.6e-2, 
 
 MISSED_ROOT = 0.035
 """Root mean square error of facets' forces, relative, from which on a root isn't drawn.
-Measured: Hertz's lines and spheres at most .022, Cattaneo's and Mindlin's shear .032; random coarse
+Measured: Hertz's lines and spheres at most .022, Cattaneo's shear .032; random coarse
 punches sheared, with scattered tractions, where roots are worse than none .04 to .08."""
 
 RINGS_ROOT = 1, 0

@@ -69,9 +69,7 @@ def error_again(system: System, solver: Solver, x: PETSc.Vec) -> float:
     """
     if solver.ksp.getPC().getType() != "lu":
         return 0.0  # iterative solvers may be given a null space
-    parts = x.getNestSubVecs()
-    sizes = [part.getLocalSize() for part in parts]
-    saddle.destroy_parts(parts)
+    sizes = saddle.local_sizes(x)
     units = saddle.scales(saddle.block_sizes(system.A), len(system.constraints.full))
     num = sum(sizes[: len(system.spaces)])
     return saddle.error_again(system.A, solver.solve, x, num, np.repeat(units, sizes))
