@@ -148,6 +148,8 @@ def went_through(
     if itself:
         may &= (corners[f][:, :, None] != own[v // own.shape[1]][:, None]).all(axis=(1, 2))
     v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
+    if not len(v):
+        return v, v
     far = 2 * np.minimum(h0 - h1, -h1)
     on = own[v // own.shape[1]]
     deep = np.minimum(
