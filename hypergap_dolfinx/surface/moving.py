@@ -140,6 +140,8 @@ def went_through(
     x[1], c[1] = x[1] - shift, c[1] - shift
     ways = x[:, :, None], c
     v, f = meeting(*(_boxes(np.concatenate((way, 2 * way[:1] - way[1:]))) for way in ways)).T
+    if not len(v):
+        return v, v
     n = np.stack([_units(part) for part in c])
     h0, h1 = np.einsum("tpi,tpi->tp", x[:, v] - c[:, f, 0], n[:, f])
     may = h1 < np.minimum(2 * h0, -least)  # else it doesn't come nearer by what it ends behind
