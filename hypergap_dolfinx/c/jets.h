@@ -71,6 +71,15 @@ static void close_tape(Tape *tape)
   *tape = (Tape){0};
 }
 
+// A square of zeros for sums of second derivatives; 0 without memory.
+static int clear_square(Tape *tape)
+{
+  free(tape->second);
+  tape->second = calloc((size_t)tape->n * tape->n, sizeof(double));
+  tape->failed = !tape->second;
+  return !tape->failed;
+}
+
 // Give all jets back, for others in n variables. Returns 0 without memory, now or before.
 static int start_tape(Tape *tape, int n, int order)
 {
@@ -83,13 +92,9 @@ static int start_tape(Tape *tape, int n, int order)
     tape->room = room;
   }
   tape->n = n, tape->order = order, tape->size = size, tape->used = tape->num_steps = 0;
-  if (order > 1)
-  {
-    free(tape->second);
-    tape->second = calloc((size_t)n * n, sizeof(double));
-    tape->failed = !tape->second;
-  }
-  return !tape->failed && (tape->num_blocks || add_block(tape));
+  if (order > 1 && !clear_square(tape))
+    return 0;
+  return tape->num_blocks || add_block(tape);
 }
 
 // Without memory it is any jet of the tape, which has ``failed`` then.

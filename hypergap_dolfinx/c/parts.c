@@ -634,23 +634,23 @@ static void put_row(const Set *set, int row, double factor, const double *jet, T
       add_triplet(to, row, 3 * set->dofs[k / 3] + k % 3, factor * jet[1 + k]);
 }
 
-static void put_square(const Set *set, const double *second, Triplets *to)
+static void put_square(const Set *set, const double *second, int is_symmetric, Triplets *to)
 {
   int n = 3 * set->num_dofs;
   for (int v = 0; v < n; ++v)
-    for (int w = 0; w <= v; ++w)
+    for (int w = 0; w < (is_symmetric ? v + 1 : n); ++w)
     {
       int i = 3 * set->dofs[v / 3] + v % 3, j = 3 * set->dofs[w / 3] + w % 3;
       double value = second[n * v + w];
       if (value == 0)
         continue;
       add_triplet(to, i, j, value);
-      if (v != w)
+      if (is_symmetric && v != w)
         add_triplet(to, j, i, value);
     }
 }
 
-// Slips of a point: components of κ P D, and their derivatives.
+// Slips of a point: components of κ P D, and their derivatives; those of forces into the square.
 static void add_slips(Tape *tape, const Set *set, const Plane *plane, const Seen *seen,
                      const Work *work)
 {
@@ -709,7 +709,10 @@ static void add_slips(Tape *tape, const Set *set, const Plane *plane, const Seen
           continue;
         Jet by = combined(tape, N[1][a], moves[side][0], N[2][a], moves[side][1]);
         by[0] = N[0][a];
-        put_row(set, 3 * dofs[a] + i, sign, product(tape, by, D.x[i]), work->H);
+        Jet force = product(tape, by, D.x[i]);
+        double *row = tape->second + tape->n * (3 * numbers[side][a] + i);
+        for (int v = 0; v < tape->n; ++v)
+          row[v] += sign * force[1 + v];
       }
   }
 }
@@ -765,7 +768,7 @@ static int add_set(Set *set, Tape *tape, const Work *work)
     if (set->spots[k].fades)
       number_facet(set, 0, set->spots[k].foot.triangle / set->of->triangles_a_facet,
                    set->of_foot + set->below->num_dofs * k);
-  if (!start_tape(tape, 3 * set->num_dofs, work->order))
+  if (!start_tape(tape, 3 * set->num_dofs, work->order) || (work->q && !clear_square(tape)))
     return 0;
   plane = plane_of(tape, set);
   points_of(tape, set, &plane, points, weights);
@@ -804,10 +807,9 @@ static int add_set(Set *set, Tape *tape, const Work *work)
     put_row(set, set->row, 1, covered, work->by_covered);
   }
   else if (work->p)
-  {
     sweep(tape, 0);
-    put_square(set, tape->second, work->H);
-  }
+  if (work->H)
+    put_square(set, tape->second, work->p != NULL, work->H);
   return !tape->failed;
 }
 
