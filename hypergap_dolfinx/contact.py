@@ -355,20 +355,27 @@ class Contact(Settable):
         Raises:
             ValueError: The contact is in no problem.
         """
-        rows = self.rows
-        if rows is None:
-            raise ValueError("the contact is in no problem: make one, and call solve() first.")
-        return rows.state.active.copy()
+        return self._shown.state.active.copy()
 
     @property
     def sticking(self) -> npt.NDArray[np.bool_]:
-        """Mask of Γ1's vertices that stick, as :attr:`active`."""
-        return self.active & self._friction_rows(self.rows).state.sticks
+        """Mask of Γ1's vertices that stick, as :attr:`active`.
+
+        Vertices that only share the gap of a neighbour in contact count, too: friction acts there.
+        """
+        return self._friction_rows(self._shown).stuck
 
     @property
     def slipping(self) -> npt.NDArray[np.bool_]:
-        """Mask of Γ1's vertices that slip, as :attr:`active`."""
-        return self.active & ~self._friction_rows(self.rows).state.sticks
+        """Mask of Γ1's vertices that slip, as :attr:`sticking`."""
+        rows = self._friction_rows(self._shown)
+        return rows.rubs & ~rows.state.sticks
+
+    @property
+    def _shown(self) -> ContactRows:
+        if self.rows is None:
+            raise ValueError("the contact is in no problem: make one, and call solve() first.")
+        return self.rows
 
     def pressures(self, problem) -> npt.NDArray[np.float64]:
         """Pressures at the vertices of Γ1, for plots and comparisons. Collective.
@@ -508,7 +515,7 @@ class Contact(Settable):
             )
         return problem.rows(self)
 
-    def _friction_rows(self, rows: ContactRows | None) -> FrictionRows:
+    def _friction_rows(self, rows: ContactRows) -> FrictionRows:
         if not isinstance(rows, FrictionRows):
             raise ValueError("the contact has no friction: give it a coefficient.")
         return rows
@@ -774,7 +781,7 @@ class ContactGeometry:
     depth: float
     """Overlap beyond which a vertex of Γ1 counts as on the far side of Γ0's body, a length."""
     gives: bool
-    """True if pressures act where surfaces overlap, or friction has a shear limit."""
+    """True if pressures act where surfaces overlap."""
     chosen: str = "as given"
     """How the sides were chosen, in words."""
     shown: ContactRows | None = None

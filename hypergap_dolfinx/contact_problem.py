@@ -573,7 +573,8 @@ class ContactProblem(ContactSystem):
             for parts in ([rows.state.active for rows in self._rows], [r.valid for r in self._rows])
         )
         frictional = [rows for rows in self._rows if isinstance(rows, FrictionRows)]
-        sticking = f", {sum(rows.stuck.sum() for rows in frictional)} of them stick"
+        stuck = sum(int((rows.stuck & rows.state.active).sum()) for rows in frictional)
+        sticking = f", {stuck} of them stick"
         return (
             f"{times(self._iterations, 'Newton step')}{halved}, "
             f"{num} of {every} vertices in contact{sticking if frictional else ''}"

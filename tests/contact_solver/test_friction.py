@@ -93,7 +93,7 @@ def test_slip_in_space(monkeypatch):
 
 
 def on_an_end(part, sliver):
-    """Forces on a block that is turned and slid; an end of Γ0 covers so much of some vertices."""
+    """A block that is turned and slid; an end of Γ0 covers so much of some vertices."""
     u, F, bcs, sides = [], [], [], []
     for i in (0, 1):
 
@@ -117,7 +117,7 @@ def on_an_end(part, sliver):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(blending, "SLIVER", sliver)
         problem.solve()
-    return problem.rows(contact).contact_forces()[1]
+    return contact, problem.rows(contact)
 
 
 def test_end_of_the_other_side():
@@ -126,8 +126,16 @@ def test_end_of_the_other_side():
     Its neighbours slip in different directions, and its row takes pressure from them.
     """
     part = 1e-5
-    forces, without = on_an_end(part, 1e-14), on_an_end(part, 0.5)
+    forces, without = (on_an_end(part, least)[1].contact_forces()[1] for least in (1e-14, 0.5))
     assert np.abs(forces - without).max() <= 2 * part * np.abs(without).max()
+
+
+def test_shared_rows():
+    """Vertices that only share the gap of one in contact have friction: they stick or slip, too."""
+    contact, rows = on_an_end(0.1, blending.SLIVER)
+    rubs = np.linalg.norm(rows.shears, axis=1) > 0
+    assert (rubs & ~contact.active).any()
+    assert ((contact.sticking ^ contact.slipping) == rubs).all()
 
 
 def rotating(dim, swap=False, rigid=False, solver=None, **options):
