@@ -71,7 +71,11 @@ TIPPING = 0.08  # way over height by which a traction moves a body on springs: f
 APART = 0.1  # of a facet, from the other body to the facets around a vertex with a pressure
 BALANCE = 1e-6  # of forces in the bodies
 MOMENT = {"finite": 1e-3, "small": np.inf}  # the same, of moments with friction
-TOLD = {"overlap of": "surfaces overlap by", "det F": "turn cells over"}  # what the log says of it
+TOLD = {  # what the log says of it
+    "overlap of": "surfaces overlap by",
+    "det F": "turn cells over",
+    "moment": "friction acts across gaps",
+}
 UNLOADED = 1e-6  # pressure over the stiffest modulus: what has less has round-off
 # -
 

@@ -25,6 +25,7 @@ from hypergap_dolfinx.contact_geometry.status import ContactStatus, table
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
+    moment,
     rows_of,
 )
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
@@ -708,9 +709,7 @@ class Contact(Settable):
         point = as_numbers(about, (n,), "about")
         places, forces, found = rows.places(), rows.contact_forces(), np.zeros(3)
         for i, at in self._acting(rows, on, facets):
-            pairs = (places[i] + rows.at[i] - point)[at], forces[i][at]
-            arms, force = (np.pad(v, ((0, 0), (0, 3 - n))) for v in pairs)
-            found += np.cross(arms, force).sum(axis=0)
+            found += moment((places[i] + rows.at[i] - point)[at], forces[i][at])
         return found if n == 3 else found[2:]
 
     def _acting(

@@ -623,6 +623,11 @@ class ContactProblem(ContactSystem):
                 "facets of Γ1 tilt towards a wall of Γ0 beside them, and the gap up to it, {:.2f} "
                 "facets in the mean, makes the contact force too small",
             ),
+            (
+                LEANING,
+                "friction acts across gaps of {:.2f} facets in the mean, so that its moments on "
+                "both bodies differ",
+            ),
         )
         for c, rows in enumerate(self._rows):
             left = [k for k in range(len(kinds)) if ("far", c, k) not in self._told]

@@ -76,7 +76,9 @@ of radius .5 with facets of .1, pressed by .05 and .1 on flat facets of Γ1: of 
 """
 
 LEANING = 0.01
-"""Mean by force of gaps up to edges that lean, in facet sizes of Γ1, from which it is told.
+"""Mean by force of gaps up to edges that lean, or across which friction acts, in facet sizes of
+Γ1, from which it is told.
 Measured: a punch pressed into coarse facets, 10, 9, 7, 4, 2 and 13 % less force than on fine ones:
 .013, .017, .019, .019, .018, .044; on finer facets, by at most 3 %: .002. Of 200 random scenes of
-the plane it tells 30 of which nothing else is told."""
+the plane it tells 30 of which nothing else is told. Of moments of friction: 200 of them .006 at
+most but where overlaps of .7 and 1.1 facets are told, .025 and .089."""

@@ -900,6 +900,12 @@ class ContactRows:
         return self.state.opening.curvature(self.u, p)
 
 
+def moment(arms: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> npt.NDArray:
+    """Moment of forces, ``(3,)``, from arrays ``(num, n)``."""
+    more = (0, 0), (0, 3 - arms.shape[1])
+    return np.cross(np.pad(arms, more), np.pad(forces, more)).sum(axis=0)
+
+
 def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):
     """Condense pressures of vertices of Γ1 whose gaps ties, supports or other contacts hold.
 

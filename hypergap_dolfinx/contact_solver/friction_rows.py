@@ -15,6 +15,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactRows,
     NormalState,
     joined,
+    moment,
 )
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
 from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS
@@ -465,6 +466,22 @@ class FrictionRows(ContactRows):
         q = np.stack([self.spread(q * acts) for q in self.state.q])
         H = self.state.opening.slip_curvature(self.u, q, self.condensed_to)
         return joined(super()._curvature(), H)
+
+    def reaches(self, least: float) -> list[tuple[float, npt.NDArray[np.float64]]]:
+        """The same; fourth, the mean by force of gaps across which friction acts. Collective.
+
+        It is what is left of the moments on both bodies, over forces. Rows that vertices share may
+        have gaps of their own there. With a compliance surfaces are to overlap.
+        """
+        found = super().reaches(least)
+        if not found or self.has_compliance or self.sides[1].reference.angle:
+            return found
+        forces = self.contact_forces()
+        left = np.sum([moment(x + u, f) for x, u, f in zip(self.places(), self.u, forces)], axis=0)
+        total = float(lengths(forces[1]).sum()) * self._size
+        mean = float(np.linalg.norm(left)) / total if total else 0.0
+        k = int((lengths(self.state.q.T) * ~self.is_alone).argmax())
+        return [*found, (mean, self.sides[1].displaced(self.u[1]).x[k])]
 
     # Convergence
 

@@ -138,6 +138,33 @@ def test_shared_rows():
     assert ((contact.sticking ^ contact.slipping) == rubs).all()
 
 
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("num, told", [(2, True), (12, False)])
+def test_moments_of_shared_rows(num, told, caplog):
+    """A punch within coarse facets drags at them across gaps: its moments differ, which is told."""
+    u, F, bcs, sides = [], [], [], []
+    places = lambda x: x * [0.33, 1] - [0, 1], lambda x: x * [1, 0.5] - [0.5, 0]
+    for i, place in enumerate(places):
+        mesh, ft = meshes.block(comm, (num if i else max(num // 3, 1), 2), place)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body, goal = Elastic.on(V, (1.0, 1.0), large=True), fem.Function(V)
+        goal.x.array.reshape(-1, 2)[:] = -0.3 * i, -0.17 * i
+        away = ft.find((meshes.BOTTOM, meshes.TOP)[i])
+        bcs.append(fem.dirichletbc(goal, fem.locate_dofs_topological(V, 1, away)))
+        u.append(body.u)
+        F.append(body.F)
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    contact = Contact(*sides, friction=0.9)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+        problem.solve()
+    moments = sum(contact.moment(problem, (0, 0), on=body) for body in u)
+    lever = np.abs(moments).max() / np.linalg.norm(contact.force(problem)) * num
+    assert (lever > 0.02) == told
+    found = [r for r in caplog.records if "friction acts across gaps" in r.message]
+    assert len(found) == (told and comm.rank == 0)
+
+
 def rotating(dim, swap=False, rigid=False, solver=None, **options):
     """A block on another one, far ends of which a rigid motion takes along, or all of the lower."""
     u, F, bcs, sides, goals = [], [], [], [], []
