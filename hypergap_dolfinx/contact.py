@@ -707,7 +707,7 @@ class Contact(Settable):
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")
         point = as_numbers(about, (n,), "about")
-        places, forces, found = rows.places(), rows.contact_forces(), np.zeros(3)
+        places, forces, found = rows.places, rows.contact_forces(), np.zeros(3)
         for i, at in self._acting(rows, on, facets):
             found += moment((places[i] + rows.at[i] - point)[at], forces[i][at])
         return found if n == 3 else found[2:]

@@ -155,9 +155,10 @@ class ContactRows:
         if not any(pair.rigid):
             return None
         points = [body.point if body else 0.0 for body in pair.rigid]
-        arms = [x - point for x, point in zip(self.places(), points, strict=True)]
+        arms = [x - point for x, point in zip(self.places, points, strict=True)]
         return RigidSides(pair.rigid, arms)
 
+    @cached_property
     def places(self) -> list[npt.NDArray[np.float64]]:
         """Initial positions of both sides' dofs, ``(num_dofs_i, n)`` each. Collective."""
         found = []

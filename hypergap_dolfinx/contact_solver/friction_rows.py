@@ -477,7 +477,7 @@ class FrictionRows(ContactRows):
         if not found or self.has_compliance or self.sides[1].reference.angle:
             return found
         forces = self.contact_forces()
-        left = np.sum([moment(x + u, f) for x, u, f in zip(self.places(), self.u, forces)], axis=0)
+        left = np.sum([moment(x + u, f) for x, u, f in zip(self.places, self.u, forces)], axis=0)
         total = float(lengths(forces[1]).sum()) * self._size
         mean = float(np.linalg.norm(left)) / total if total else 0.0
         k = int((lengths(self.state.q.T) * ~self.is_alone).argmax())
