@@ -310,8 +310,9 @@ class LinearisedContact:
     def _descended(self, y0, f0, A, B, of, z, zero: float, trials: int) -> Array | None:
         """Newton's method with so many trials of a shorter step; all steps are full for none.
 
-        Where states make the equations singular, a full step goes far, to other states. But it is
-        no solution: this is the least one, if there is any in these states.
+        Where states make the equations singular, a step goes far, to other states. But it is no
+        solution: this is the least one, if there is any in these states. Without a line search the
+        way ends there: any states could follow.
         """
         laws = self._laws(y0 + B @ z, f0 + A @ z, of, zero)
         for _ in range(STEPS):
@@ -323,6 +324,8 @@ class LinearisedContact:
                 near = z + np.linalg.lstsq(slope, -laws.error, rcond=PIVOT)[0]
                 if self._laws(y0 + B @ near, f0 + A @ near, of, zero).are_satisfied:
                     return near
+                if not trials:
+                    return None
             size, share, start = np.linalg.norm(laws.error), 1.0, z
             for _ in range(max(trials, 1)):
                 z = start + share * way

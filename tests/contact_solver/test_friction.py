@@ -589,6 +589,15 @@ def test_steps_that_converge_go_on(monkeypatch):
     assert found[0] == found[1] and found[0][0] > 3
 
 
+def test_sliding_is_told_soon(monkeypatch):
+    """A small problem whose equations are singular in all states isn't searched at random."""
+    counts, solution = [], complementarity.solution
+    monkeypatch.setattr(complementarity, "solution", lambda *M: counts.append(0) or solution(*M))
+    demo = runpy.run_path(str(Path(__file__).parents[2] / "demos" / "friction.py"))
+    assert demo["block"](comm, 1, 2)["told"]
+    assert len(counts) < 2000
+
+
 def test_slides_off():
     """What has nothing opposite any more slips by nothing, and is no error of NumPy's."""
     contact, problem, go = rotating(2, friction=0.1)
