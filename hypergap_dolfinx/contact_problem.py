@@ -384,19 +384,22 @@ class ContactProblem(ContactSystem):
                 if not isinstance(error, SolveError) and not self._iterations:
                     self._path.commit(done)
                     raise  # surfaces without a Σ where the bodies were
+                first = changes and ahead is None and self._last.in_contact
+                ahead = self._ahead(load, before, since) if first else None
+                if ahead is not None:
+                    self._records.tell(f"tried again from another start: {error}")
+                    continue
+                is_last = not changes or size <= 0.5**HALVINGS
+                if is_last and self._fall_back("no equilibrium is found with it"):
+                    continue
                 if not changes:
                     raise SolveError(
                         f"contact: {error}{lost} The load step can't be halved: no value has "
                         "changed since the last one, or since the problem was made (load it then)."
                     ) from error
-                first = ahead is None and self._last.in_contact
-                ahead = self._ahead(load, before, since) if first else None
-                if ahead is not None:
-                    self._records.tell(f"tried again from another start: {error}")
-                    continue
                 size /= 2
                 self._halvings += 1
-                if size < 0.5**HALVINGS:
+                if is_last:
                     self._stop_at(done)
                     raise SolveError(
                         f"contact: no solution beyond {100 * done:.3g} % of the load step; "

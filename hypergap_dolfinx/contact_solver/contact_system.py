@@ -236,21 +236,27 @@ class ContactSystem(NonlinearSystem):
         try:
             return solve()
         except IterationFailed as error:
-            if self._comm.rank == 0:
-                LOG.warning(
-                    'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
-                    'that is symmetric and positive definite, %s; name solver="direct" to save its '
-                    "iterations, for ratios near 0.5 with mixed spaces (displacement, pressure).",
-                    str(error).removesuffix("."),
-                    Multigrid.SUITED,
-                )
-            iterations = self._tangent.iterations
-            self._tangent.destroy()
-            self._given = None  # options of another solver
-            self._tangent = self._chosen("direct")
-            self._tangent.iterations = iterations
-            self._tangent.remember_stiffness(self._stiffness())
+            self._fall_back(str(error).removesuffix("."))
             return solve()
+
+    def _fall_back(self, reason: str) -> bool:
+        """Take factors in place of multigrid; False if they are taken. Collective."""
+        if not isinstance(self._tangent, MultigridTangent):
+            return False
+        if self._comm.rank == 0:
+            LOG.warning(
+                'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
+                'that is symmetric and positive definite, %s; name solver="direct" to save its '
+                "iterations, for ratios near 0.5 with mixed spaces (displacement, pressure).",
+                *(reason, Multigrid.SUITED),
+            )
+        iterations = self._tangent.iterations
+        self._tangent.destroy()
+        self._given = None  # options of another solver
+        self._tangent = self._chosen("direct")
+        self._tangent.iterations = iterations
+        self._tangent.remember_stiffness(self._stiffness())
+        return True
 
     def _sides(self) -> list:
         contacts = [pair.contact for pair in self._pairs]

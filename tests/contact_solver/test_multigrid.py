@@ -260,6 +260,26 @@ def test_gives_up(caplog, monkeypatch):
         np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
 
 
+@pytest.mark.ranks(2)
+def test_no_equilibrium_with_multigrid(caplog, monkeypatch):
+    """A load step that multigrid doesn't solve, halved or not, is solved with factors, told."""
+    newton = ContactProblem._newton
+
+    def fails(self, ahead=None):
+        if isinstance(self._tangent, MultigridTangent):
+            raise SolveError("no equilibrium")
+        return newton(self, ahead)
+
+    monkeypatch.setattr(ContactProblem, "_newton", fails)
+    scenes = [Pressed(3, solver=s) for s in ("direct", "iterative")]
+    for scene in scenes:
+        scene.solve(DOWN)
+    told = [r.getMessage() for r in caplog.records if "no equilibrium is found" in r.getMessage()]
+    assert len(told) == (comm.rank == 0) and scenes[1].problem.solver_name == "direct"
+    for u, v in zip(*(scene.u for scene in scenes), strict=True):
+        np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
+
+
 def test_guess_that_isnt_positive():
     """A die is drawn on: the matrix of a guessed set isn't positive, and a share of K is added."""
     demo = runpy.run_path(str(Path(__file__).parents[2] / "demos" / "large_contact.py"))
