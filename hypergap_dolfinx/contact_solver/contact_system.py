@@ -503,7 +503,8 @@ class ContactSystem(NonlinearSystem):
                 self._right(), num_tied, self._fixed, nearness, guesses, self._reach
             )
 
-        floor = 0.01 * self._rtol * self._in_bodies + ROUND_OFF_FORCES * float(self._largest[-1])
+        own = ROUND_OFF_FORCES * float(self._largest.min())  # forces of soft bodies, too, balance
+        floor = 0.01 * self._rtol * self._in_bodies + own
         self._tangent.floor = floor
         found = self._solution(solve)
         if not found.is_solved and self._leaves_what_touches(start, stiffness):
