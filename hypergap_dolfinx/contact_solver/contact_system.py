@@ -659,6 +659,13 @@ class ContactSystem(NonlinearSystem):
             for rows, state in zip(self._rows, sets, strict=True):
                 rows.restore(state)
         for rows in self._hold_too_much():
+            if not self._num_free:
+                raise SolveError(
+                    f"contact {self._rows.index(rows)}: gaps of several vertices depend on the same "
+                    "displacements, the others of which are prescribed: pressures there are "
+                    "arbitrary, and friction more than these allow; prescribe fewer of them, or "
+                    "give a small compliance=."
+                )
             raise SolveError(
                 f"{self._strays.of(rows.bodies)}, that nothing else holds, slides: its load is "
                 f"more than friction can hold; hold it by {self._strays.remedy}, or prescribe how "
