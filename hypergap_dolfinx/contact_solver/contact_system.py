@@ -661,8 +661,8 @@ class ContactSystem(NonlinearSystem):
         for rows in self._hold_too_much():
             if not self._num_free:
                 raise SolveError(
-                    f"contact {self._rows.index(rows)}: gaps of several vertices depend on the same "
-                    "displacements, the others of which are prescribed: pressures there are "
+                    f"contact {self._rows.index(rows)}: gaps of several vertices depend on the "
+                    "same displacements, the others of which are prescribed: pressures there are "
                     "arbitrary, and friction more than these allow; prescribe fewer of them, or "
                     "give a small compliance=."
                 )
