@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.algebra.checks import label
+from hypergap_dolfinx.algebra.rigid_motions import moment
 from hypergap_dolfinx.coefficient import Coefficient, Friction, Value, friction_of
 from hypergap_dolfinx.contact_geometry.opened import on_sigma, on_surface
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
@@ -25,7 +26,6 @@ from hypergap_dolfinx.contact_geometry.status import ContactStatus, table
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
-    moment,
     rows_of,
 )
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
@@ -707,10 +707,10 @@ class Contact(Settable):
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")
         point = as_numbers(about, (n,), "about")
-        places, forces, found = rows.places, rows.contact_forces(), np.zeros(3)
+        forces, found = rows.contact_forces(), np.zeros(n * (n - 1) // 2)
         for i, at in self._acting(rows, on, facets):
-            found += moment((places[i] + rows.at[i] - point)[at], forces[i][at])
-        return found if n == 3 else found[2:]
+            found += moment((rows.places[i] + rows.at[i] - point)[at], forces[i][at])
+        return found
 
     def _acting(
         self, rows: ContactRows, on: fem.Function | None, facets: npt.ArrayLike | None

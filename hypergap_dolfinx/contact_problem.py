@@ -634,16 +634,16 @@ class ContactProblem(ContactSystem):
         )
         for c, rows in enumerate(self._rows):
             left = [k for k in range(len(kinds)) if ("far", c, k) not in self._told]
-            at = self._poked[c]
-            found = [(float(len(at)), at[0] if len(at) else at)]
-            found += rows.reaches(FAR_PRESSURE / 2) if left else []
-            for k, (size, at) in enumerate(found):
+            poked = self._poked[c]
+            found = [(float(len(poked)), 0), *(rows.reaches(FAR_PRESSURE / 2) if left else [])]
+            for k, (size, vertex) in enumerate(found):
                 bound, words = kinds[k]
                 if k not in left or size <= bound:
                     continue
+                x = rows.sides[1].displaced(rows.u[1]).x if k else poked
                 self._warn_once(
                     ("far", c, k),
-                    f"contact {c}: at {spot(at[None])} {words.format(size)}: a gap is the mean "
+                    f"contact {c}: at {spot(x[[vertex]])} {words.format(size)}: a gap is the mean "
                     "over the facets of Γ1 at a vertex, and these are too coarse for a corner, "
                     "step or curve there; refine them, or take the finer side as Γ1.",
                 )

@@ -18,6 +18,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.algebra.checks import label
+from hypergap_dolfinx.algebra.rigid_motions import moment
 from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.collective import raise_on_all, values_at
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError
@@ -746,11 +747,7 @@ class Tie(Settable, collective.Owner):
             given = map(self.components[side].own_function, problem.u)
             own = next(u for u in given if u is not None)
             arm = arm + own.x.array.real.reshape(-1, n)[: len(forces)]
-        if n == 3:
-            moment = np.cross(arm, forces).sum(axis=0)
-        else:
-            moment = (arm[:, :1] * forces[:, 1:] - arm[:, 1:] * forces[:, :1]).sum(axis=0)
-        return self._domain.comm.allreduce(moment)
+        return self._domain.comm.allreduce(moment(arm, forces))
 
     def _side(self, on: fem.Function | None) -> int:
         """The side of a body, by its displacement; the second one as given. Collective."""

@@ -31,6 +31,14 @@ def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     return V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : V.mesh.geometry.dim]
 
 
+def moment(arms: npt.NDArray, forces: npt.NDArray) -> npt.NDArray:
+    """Moment of forces ``(num, n)``: ``(3,)``, or ``(1,)`` in the plane."""
+    n = arms.shape[1]
+    arms, forces = (np.pad(part, ((0, 0), (0, 3 - n))) for part in (arms, forces))
+    found = np.cross(arms, forces).sum(axis=0)
+    return found if n == 3 else found[2:]
+
+
 def motions(
     V: fem.FunctionSpace,
     centre: npt.NDArray[np.float64] | None = None,

@@ -589,8 +589,8 @@ class ContactRows:
                 "of each other, or facets are on the far side of one; check positions and tags."
             )
 
-    def reaches(self, least: float) -> list[tuple[float, npt.NDArray[np.float64]]]:
-        """Largest distance over which a pressure acts, and largest overlap; and where they are.
+    def reaches(self, least: float) -> list[tuple[float, int]]:
+        """Largest distance over which a pressure acts, and largest overlap; and Γ1's vertex there.
 
         A gap is a mean over the facets around a vertex. There a corner may touch or overlap while
         the rest is far away. Third, the mean by force of gaps up to edges that lean.
@@ -599,10 +599,9 @@ class ContactRows:
             least: Length below which neither is searched for. Overlaps are in facet sizes of the
                 finer side, all else is in those of Γ1.
         """
-        at = self.sides[1].displaced(self.u[1]).x
         if self.state.opening is None or not self._follows:
             return []
-        facets, size = self.sides[1].reference.facets, np.zeros(len(at))
+        facets, size = self.sides[1].reference.facets, np.zeros(len(self.g))
         np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
         finer = np.minimum(size, self.sides[0].reference.size.max(initial=0))
         far, deep, leaning = self.state.opening.reaches(self.u, least * finer)
@@ -616,10 +615,10 @@ class ContactRows:
             np.divide(part, of, out=np.zeros_like(part), where=of > 0)
             for part, of in ((np.where(p > 0, far, 0), size), (deep, finer))
         ]
-        told = [(float(part.max(initial=0)), at[int(part.argmax())]) for part in found]
+        told = [(float(part.max(initial=0)), int(part.argmax())) for part in found]
         pressed = float((p * self.m * size).sum())
         mean = float((p * leaning).sum()) / pressed if pressed else 0.0
-        return [*told, (mean, at[int((p * leaning).argmax())])]
+        return [*told, (mean, int((p * leaning).argmax()))]
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:
@@ -899,12 +898,6 @@ class ContactRows:
         assert self.state.opening is not None
         p = self.spread(np.maximum(self.state.p, 0) * self.state.active)
         return self.state.opening.curvature(self.u, p)
-
-
-def moment(arms: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> npt.NDArray:
-    """Moment of forces, ``(3,)``, from arrays ``(num, n)``."""
-    more = (0, 0), (0, 3 - arms.shape[1])
-    return np.cross(np.pad(arms, more), np.pad(forces, more)).sum(axis=0)
 
 
 def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):

@@ -248,7 +248,8 @@ class ContactSystem(NonlinearSystem):
                 'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
                 'that is symmetric and positive definite, %s; name solver="direct" to save its '
                 "iterations, for ratios near 0.5 with mixed spaces (displacement, pressure).",
-                *(reason, Multigrid.SUITED),
+                reason,
+                Multigrid.SUITED,
             )
         iterations = self._tangent.iterations
         self._tangent.destroy()

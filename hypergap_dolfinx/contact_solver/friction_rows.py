@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.algebra.rigid_motions import places
+from hypergap_dolfinx.algebra.rigid_motions import moment, places
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
     NormalState,
     joined,
-    moment,
 )
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
 from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS
@@ -467,7 +466,7 @@ class FrictionRows(ContactRows):
         H = self.state.opening.slip_curvature(self.u, q, self.condensed_to)
         return joined(super()._curvature(), H)
 
-    def reaches(self, least: float) -> list[tuple[float, npt.NDArray[np.float64]]]:
+    def reaches(self, least: float) -> list[tuple[float, int]]:
         """The same; fourth, the mean by force of gaps across which friction acts. Collective.
 
         It is what is left of the moments on both bodies, over forces. Rows that vertices share may
@@ -480,8 +479,7 @@ class FrictionRows(ContactRows):
         left = np.sum([moment(x + u, f) for x, u, f in zip(self.places, self.u, forces)], axis=0)
         total = float(lengths(forces[1]).sum()) * self._size
         mean = float(np.linalg.norm(left)) / total if total else 0.0
-        k = int((lengths(self.state.q.T) * ~self.is_alone).argmax())
-        return [*found, (mean, self.sides[1].displaced(self.u[1]).x[k])]
+        return [*found, (mean, int((lengths(self.state.q.T) * ~self.is_alone).argmax()))]
 
     # Convergence
 
