@@ -684,18 +684,22 @@ class Contact(Settable):
         *,
         on: fem.Function | None = None,
         facets: npt.ArrayLike | None = None,
+        displaced: bool = True,
     ) -> npt.NDArray[np.float64]:
         """Moment of pressure and friction on a body about a point, Σ (x − x₀) × f. Collective.
 
         Positions are displaced ones; with small sliding, where Σ is that of the start, they are
         those of the start. The moments on both bodies about one point are opposite: to round-off,
         with friction up to the gaps within facets, in the plane only where Γ0 ends within these.
+        With forms of small strains, loads and reactions on a body balance the moment at the
+        mesh's positions, ``displaced=False``: such forms don't see that forces move.
 
         Args:
             problem: A solved problem with this contact.
             about: The point x₀, ``(n,)``; any point of an axis for the torque about it.
             on: Displacement of the body, as in :meth:`force`.
             facets: Some facets, as there.
+            displaced: False for positions of the mesh, as in :meth:`Tie.moment`.
 
         Returns:
             Moment, ``(3,)`` in space, ``(1,)`` in the plane, the same on every rank.
@@ -709,7 +713,8 @@ class Contact(Settable):
         point = as_numbers(about, (n,), "about")
         forces, found = rows.contact_forces(), np.zeros(n * (n - 1) // 2)
         for i, at in self._acting(rows, on, facets):
-            found += moment((rows.places[i] + rows.at[i] - point)[at], forces[i][at])
+            arms = rows.places[i] - point + (rows.at[i] if displaced else 0)
+            found += moment(arms[at], forces[i][at])
         return found
 
     def _acting(

@@ -16,7 +16,7 @@ from helpers import close, raises, sweep, two_ranks
 
 import meshes
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from hypergap_dolfinx import Contact, ContactProblem, SolveError
 from hypergap_dolfinx.contact_geometry import blending
 from hypergap_dolfinx.contact_geometry import space as columns
@@ -163,6 +163,36 @@ def test_moments_of_shared_rows(num, told, caplog):
     assert (lever > 0.02) == told
     found = [r for r in caplog.records if "friction acts across gaps" in r.message]
     assert len(found) == (told and comm.rank == 0)
+
+
+@pytest.mark.ranks(2)
+def test_moment_at_positions_of_the_mesh():
+    """With small strains reactions balance it there, wherever the forces have moved to."""
+    u, F, bcs, sides = [], [], [], []
+    for i in (0, 1):
+        mesh, ft = meshes.block(comm, (3 + i, 2), lambda x, i=i: x - [0.5, 1 - i])
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        body, goal = Elastic.on(V), fem.Function(V)
+        if i:
+            goal.interpolate(lambda x: np.array((-0.02 * x[1] - 0.3, 0.02 * x[0] - 0.05)))
+        away = fem.locate_dofs_topological(V, 1, ft.find((meshes.BOTTOM, meshes.TOP)[i]))
+        bcs.append(fem.dirichletbc(goal, away))
+        u.append(body.u)
+        F.append(body.F)
+        sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+    contact = Contact(*sides, friction=0.3)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], rtol=1e-12)
+    problem.solve()
+    for body, form, bc in zip(u, F, bcs, strict=True):
+        left = fem.assemble_vector(fem.form(form))
+        left.scatter_reverse(la.InsertMode.add)
+        held, num = bc.dof_indices()
+        at, V = held[:num:2] // 2, body.function_space
+        x, f = V.tabulate_dof_coordinates()[at, :2], left.array.reshape(-1, 2)[at]
+        reaction = comm.allreduce(float((x[:, 0] * f[:, 1] - x[:, 1] * f[:, 0]).sum()))
+        still = contact.moment(problem, (0, 0), on=body, displaced=False)
+        now = contact.moment(problem, (0, 0), on=body)
+        assert abs(reaction + still[0]) < 1e-11 * abs(reaction) < 1e-9 * abs(now - still)[0]
 
 
 def rotating(dim, swap=False, rigid=False, solver=None, **options):
