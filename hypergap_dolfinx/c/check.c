@@ -145,6 +145,56 @@ int front_check(int n0, int n, const double *vertices, int num_cells, const int 
   return counts[1] < 0 ? NO_MEMORY : DONE;
 }
 
+// D of cells, and its scale (gap_mesh/tetrahedra.py).
+//
+// x, alpha    of the vertices, (n, 3) and (n)
+// normals     of the vertices, to be added up, (n, 3)
+// cells       (num, 4); NULL: the first four vertices are the first one's, and normals are the cells'
+void cell_areas(int num, const int *cells, const double *x, const double *alpha,
+                const double *normals, double *areas, double *scales)
+{
+  static const int face[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
+  static const int pair[3][4] = {{0, 1, 2, 3}, {0, 2, 1, 3}, {0, 3, 1, 2}};
+  for (int i = 0; i < num; ++i)
+  {
+    const double *p[4];
+    double a[4], e[3][3], f[3], g[3], n[3] = {0}, D = 0, scale = 0;
+    for (int k = 0; k < 4; ++k)
+    {
+      size_t v = cells ? (size_t)cells[4 * i + k] : 4 * (size_t)i + k;
+      p[k] = x + 3 * v, a[k] = alpha[v];
+      for (int j = 0; j < 3; ++j)
+        n[j] += cells ? normals[3 * v + j] : k ? 0 : normals[3 * (size_t)i + j];
+    }
+    for (int k = 0; k < 3; ++k)
+    {
+      minus(p[k + 1], p[0], e[k]);
+      scale = larger(scale, dot(e[k], e[k]));
+    }
+    for (int k = 0; k < 3; ++k)
+      D += (a[k + 1] - a[0]) * triple(e[(k + 1) % 3], e[(k + 2) % 3], n);
+    for (int k = 0; k < 4; ++k)
+    {
+      const int *v = face[k];
+      if (a[v[0]] != a[v[1]] || a[v[0]] != a[v[2]])
+        continue;
+      double normal[3];
+      minus(p[v[1]], p[v[0]], f), minus(p[v[2]], p[v[0]], g);
+      cross(f, g, normal);
+      scale = sqrt(dot(normal, normal)) * fabs(a[k] - a[v[0]]);
+    }
+    for (int k = 0; k < 3; ++k)
+    {
+      const int *v = pair[k];
+      if (a[v[0]] != a[v[1]] || a[v[2]] != a[v[3]] || a[v[0]] == a[v[2]])
+        continue;
+      minus(p[v[0]], p[v[1]], f), minus(p[v[2]], p[v[3]], g);
+      scale = sqrt(dot(f, f) * dot(g, g));
+    }
+    areas[i] = D / larger(sqrt(dot(n, n)), 1e-300), scales[i] = scale;
+  }
+}
+
 // Find the faces around what is missing.
 //
 // faces       those that one cell, or triangle of the boundary, has alone, as it has them

@@ -20,6 +20,8 @@ int front_check(int n0, int n, const double *vertices, int num_cells, const int 
                 int num_outer, const int *outer, int *counts);
 int single_faces(int n, int num_cells, const int *cells, int num_outer, const int *outer,
                  int *faces, int *counts);
+void cell_areas(int num, const int *cells, const double *x, const double *alpha,
+                const double *normals, double *areas, double *scales);
 int cells_at_vertices(int n, int num, const int *cells, int *offset, int *at);
 int find_facets(int n, int num_facets, const int *facets, int size, int num, const int *corners,
                 int *found);

@@ -38,14 +38,13 @@ class Cells:
 
     def flat(self, limit: float = FLAT_GAP_CELL) -> npt.NDArray[np.bool_]:
         """Mask of flat or inverted cells: D over its scale up to a limit, ``(num_cells,)``."""
-        v = self.cells
-        D, scale = areas(self.x[v], self.alpha[v], self.normals[v].sum(axis=1))
+        D, scale = areas(self.x, self.alpha, self.normals, self.cells)
         return ~(D > limit * scale)
 
 
 def is_whole(cells, outer) -> bool:
     """True if each face has a cell on each side, or one cell and a triangle of the boundary."""
-    return single_faces(cells, outer)[1]
+    return single_faces(cells, outer)[1] == 0
 
 
 def fill(mesh: Cells, outer, place: Place):

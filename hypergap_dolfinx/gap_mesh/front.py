@@ -19,7 +19,7 @@ from hypergap_dolfinx.gap_mesh import cavity
 from hypergap_dolfinx.gap_mesh.cavity import Place
 from hypergap_dolfinx.gap_mesh.prisms import Prisms, between_quarters, outer_faces, twins
 from hypergap_dolfinx.gap_mesh.repair import Filling, Margins, MeshRepair
-from hypergap_dolfinx.gap_mesh.tetrahedra import areas
+from hypergap_dolfinx.gap_mesh.tetrahedra import areas, single_faces
 from hypergap_dolfinx.gap_mesh.tolerances import (
     CELLS,
     EXTRAPOLATE,
@@ -149,7 +149,7 @@ class Problem:
         alpha = (np.arange(len(self.x)) >= self.n0).astype(float)
 
         def are_valid(cells):
-            D, scale = areas(self.x[cells], alpha[cells], self.normals[cells].sum(axis=1))
+            D, scale = areas(self.x, alpha, self.normals, cells)
             return D > FLAT_GAP_CELL * scale
 
         return Prisms.between(pairs, self.n0, height, are_valid)
@@ -232,11 +232,10 @@ def advance(
     turned = slice(None) if not reverse else [1, 0, 2]
     facets = prisms.left(problem.facets) if prisms else problem.facets
     if prisms and not any(len(part) for part in facets):
-        walls = outer_faces(prisms.cells)
-        walls = walls[_are_walls(walls, n0)]
-        outer = np.vstack((problem.facets[0], walls, problem.facets[1][:, ::-1]))
-        whole = cavity.is_whole(prisms.cells, outer)
-        return Front(prisms.cells, walls, 0, (0, int(not whole)))
+        outer = np.vstack((problem.facets[0], problem.facets[1][:, ::-1]))
+        faces, num = single_faces(prisms.cells, outer)
+        is_whole = num == len(faces) and bool(_are_walls(faces, n0).all())
+        return Front(prisms.cells, faces[:, ::-1], 0, (0, int(not is_whole)))
     if weighted:
         edges = np.append(number, np.int32(-1))[problem.edges]  # −1 stays −1
         if reverse:

@@ -17,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import components
+from hypergap_dolfinx.core.numbers import row_codes
+from hypergap_dolfinx.gap_mesh.tetrahedra import find, single_faces
 from hypergap_dolfinx.gap_mesh.tolerances import NEAR_MATCHING
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
 
@@ -47,13 +49,12 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp]:
     num = [(np.diff(np.sort(at[f], axis=1)) > 0).sum(axis=1) for f, at in zip(sides, places)]
     whole = [facets[n == 2] for facets, n in zip(sides, num, strict=True)]
     corners = np.vstack([at[facets] for facets, at in zip(whole, places, strict=True)])
-    _, key = np.unique(corners, axis=0, return_inverse=True)
-    keys = np.split(key, [len(whole[0])])
-    once = [np.bincount(k, minlength=key.max(initial=-1) + 1) == 1 for k in keys]
-    both = np.flatnonzero(once[0] & once[1])
-    at = [np.argsort(k, kind="stable") for k in keys]
-    at = [order[np.searchsorted(k[order], both)] for order, k in zip(at, keys, strict=True)]
-    pairs = np.stack([facets[k] for facets, k in zip(whole, at, strict=True)], axis=1)
+    found, key = np.unique(row_codes(corners), return_inverse=True)
+    keys, at = np.split(key, [len(whole[0])]), np.empty((2, len(found)), dtype=np.intp)
+    for own, k in zip(at, keys, strict=True):
+        own[k] = np.arange(len(k))
+    both = np.all([np.bincount(k, minlength=len(found)) == 1 for k in keys], axis=0)
+    pairs = np.stack([facets[own[both]] for facets, own in zip(whole, at, strict=True)], axis=1)
 
     v = np.stack((x0[pairs[:, 0]], x1[pairs[:, 1]]), axis=1)  # (pair, side, vertex, x_i)
     heights = np.minimum(*(lengths(normals_by_area(v[:, i])) for i in (0, 1)))
@@ -227,9 +228,7 @@ class Prisms:
 
     def left(self, facets) -> list[npt.NDArray[np.integer]]:
         """Facets of both sides, ``(num_facets, 3)`` each, that have no twins."""
-        num = _num(self, facets)
-        own = (_keys(self.pairs[:, i], num) for i in (0, 1))
-        return [part[~np.isin(_keys(part, num), ours)] for part, ours in zip(facets, own)]
+        return [part[find(self.pairs[:, i], part) < 0] for i, part in enumerate(facets)]
 
     def walls(self, facets, walls):
         """Walls of a slab between two surfaces, and of the room that the prisms leave in it.
@@ -266,9 +265,4 @@ def _keys(triangles, num: int) -> npt.NDArray[np.int64]:
 
 def outer_faces(cells) -> npt.NDArray[np.intp]:
     """The cells' faces with no other cell behind them, counterclockwise seen from inside."""
-    local = np.array([(1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)])  # seen from inside
-    faces = cells[:, local].reshape(-1, 3)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    return faces[first[count == 1]]
+    return single_faces(cells, np.empty((0, 3), dtype=np.intp))[0][:, ::-1]

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core.compiled import call, doubles, ints
+from hypergap_dolfinx.core.numbers import row_codes
 from hypergap_dolfinx.gap_mesh.cells import Hosts
 from hypergap_dolfinx.gap_mesh.tetrahedra import NONE, find, have
 from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, Outline, in_walls
@@ -255,10 +256,5 @@ def _same(vertices, weights):
     values, code = np.unique(np.round(weights, 9), return_inverse=True)
     key = vertices * len(values) + code.reshape(weights.shape)
     key.sort(axis=1)
-    code, size = np.zeros(len(key), dtype=np.int64), int(key.max(initial=0)) + 1
-    for column in key.T:  # into one number: whole rows take much longer to sort
-        if int(code.max(initial=0)) * size >= 2**62:
-            code = np.unique(code, return_inverse=True)[1]
-        code = code * size + column
-    _, first, which = np.unique(code, return_index=True, return_inverse=True)
+    _, first, which = np.unique(row_codes(key), return_index=True, return_inverse=True)
     return first, which

@@ -14,8 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.compiled import call, ints
-from hypergap_dolfinx.surface.trace import lengths, normals_by_area
+from hypergap_dolfinx.core.compiled import call, doubles, ints
 
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 """Vertices of a cell's faces, counterclockwise seen from outside."""
@@ -27,35 +26,24 @@ Margins = Callable[[npt.NDArray, npt.NDArray], npt.NDArray[np.float64]]
 positive where a cell is inverted somewhere."""
 
 
-def areas(x, alpha, normal):
+def areas(x, alpha, normal, cells=None):
     """D = Σ_k dα_k (e_{k+1} × e_{k+2}) · n, positive for a cell that is not inverted.
 
     Args:
-        x: Vertex coordinates, ``(num_cells, 4, 3)``.
-        alpha: α at the vertices, ``(num_cells, 4)``.
-        normal: Normals n of any length, ``(num_cells, 3)``.
+        x: Vertex coordinates, ``(num_cells, 4, 3)``; those of all vertices if cells are given.
+        alpha: α at the vertices, ``(num_cells, 4)``, or of all.
+        normal: Normals n of any length, ``(num_cells, 3)``; or of all vertices, to be added up.
+        cells: Vertices of each cell, ``(num_cells, 4)``.
 
     Returns:
         D, and its scale, ``(num_cells,)`` each: the doubled area of a base on a surface, the
         product of the lengths of two edges on the surfaces, or the square of the longest edge from
         the first vertex.
     """
-    n = normal / np.maximum(lengths(normal), 1e-300)[:, None]
-    e, d = x[:, 1:] - x[:, :1], alpha[:, 1:] - alpha[:, :1]
-    N = np.einsum("ck,cki->ci", d, np.cross(e[:, [1, 2, 0]], e[:, [2, 0, 1]]))
-    scale = np.einsum("cki,cki->ck", e, e).max(axis=1)
-    for face, corner in zip(FACES, range(4), strict=True):
-        base = np.flatnonzero((alpha[:, face] == alpha[:, face[:1]]).all(axis=1))
-        if not len(base):
-            continue
-        v = x[base][:, face]
-        twice = lengths(normals_by_area(v))
-        scale[base] = twice * np.abs(alpha[base, corner] - alpha[base, face[0]])
-    for a, b, c, d in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)):
-        pairs = (alpha[:, a] == alpha[:, b]) & (alpha[:, c] == alpha[:, d])
-        pairs = np.flatnonzero(pairs & (alpha[:, a] != alpha[:, c]))
-        scale[pairs] = lengths(x[pairs, a] - x[pairs, b]) * lengths(x[pairs, c] - x[pairs, d])
-    return np.einsum("ci,ci->c", N, n), scale
+    D, scale = np.empty((2, len(x) if cells is None else len(cells)))
+    of = None if cells is None else ints(cells)
+    call("cell_areas", len(D), of, doubles(x), doubles(alpha), doubles(normal), D, scale)
+    return D, scale
 
 
 def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
@@ -70,7 +58,7 @@ def find(triangles: npt.NDArray, corners: npt.NDArray) -> npt.NDArray[np.intp]:
     return found.astype(np.intp)
 
 
-def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
+def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], int]:
     """Faces around cavities: of cells without a neighbour, and of the boundary without a cell.
 
     Args:
@@ -78,8 +66,8 @@ def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
         outer: The boundary's triangles, counterclockwise seen from inside, ``(num_triangles, 3)``.
 
     Returns:
-        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``; and true if each face
-        has a cell on each side, or one cell and a triangle of the boundary.
+        Triangles, counterclockwise seen from the cavity, ``(num_faces, 3)``; and the number of
+        faces that haven't a cell on each side, or one cell and a triangle of the boundary.
     """
     faces = np.empty((4 * len(cells) + len(outer), 3), dtype=np.int32)
     counts = np.zeros(2, dtype=np.int32)
@@ -87,7 +75,7 @@ def single_faces(cells, outer) -> tuple[npt.NDArray[np.intp], bool]:
     given = num, len(cells), ints(cells), len(outer), ints(outer)
     if call("single_faces", *given, faces, counts):
         raise MemoryError("no memory for the cells of the gap domain")
-    return faces[: counts[1]].astype(np.intp), counts[0] == 0
+    return faces[: counts[1]].astype(np.intp), int(counts[0])
 
 
 def have(vertices: npt.NDArray[np.integer], edges: npt.NDArray[np.integer]):

@@ -19,6 +19,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.core.numbers import row_codes, used
 from hypergap_dolfinx.errors import InvertedCellError
 from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
@@ -341,14 +342,13 @@ def _by_owner(
     Returns:
         The new numbers, and this rank's range of them.
     """
-    used, at = np.unique(nodes, return_inverse=True)
-    at = at.reshape(nodes.shape)
-    owner = np.empty(len(used), dtype=np.intp)
+    found, at = used(nodes)
+    owner = np.empty(len(found), dtype=np.intp)
     last = np.argsort(-rank, kind="stable")  # lower ranks overwrite higher ones
     owner[at[last]] = rank[last, None]
     order = np.argsort(owner, kind="stable")
-    number = np.empty(len(used), dtype=np.int64)
-    number[order] = np.arange(len(used))
+    number = np.empty(len(found), dtype=np.int64)
+    number[order] = np.arange(len(found))
     start, end = np.searchsorted(owner[order], (comm.rank, comm.rank + 1))
     return number[at], (int(start), int(end))
 
@@ -410,12 +410,7 @@ def _number_nodes(cells, lattice, degree: int):
     weights = np.column_stack((degree - lattice.sum(axis=1), lattice))  # (node, vertex)
     key = cells[:, None, :] * (degree + 1) + weights
     key = np.sort(np.where(weights > 0, key, -1), axis=2).reshape(-1, cells.shape[1])
-    code, size = np.zeros(len(key), dtype=np.int64), int(key.max()) + 2
-    for column in key.T:  # into one number: whole rows take much longer to sort
-        if int(code.max()) * size >= 2**62:
-            code = np.unique(code, return_inverse=True)[1]
-        code = code * size + column + 1
-    _, first, number = np.unique(code, return_index=True, return_inverse=True)
+    _, first, number = np.unique(row_codes(key + 1), return_index=True, return_inverse=True)
     return number.reshape(len(cells), -1).astype(np.int64), first
 
 

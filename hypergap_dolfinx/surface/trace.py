@@ -18,6 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import doubles, ints
+from hypergap_dolfinx.core.numbers import row_codes
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.projection import terms
 from hypergap_dolfinx.surface.tolerances import (
@@ -537,14 +538,15 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     vertices = gather(global_nodes[:, vertex_nodes])[first]
 
     # Number by position: node numbers depend on the number of ranks, coordinates don't
-    _, at, vertices = np.unique(vertices, return_index=True, return_inverse=True)
+    found, vertices = np.unique(vertices, return_inverse=True)
     vertices = vertices.reshape(-1, len(vertex_nodes))
-    vertex_x = nodes_x[:, vertex_nodes].reshape(-1, n)[at]
+    vertex_x = np.empty((len(found), n))
+    vertex_x[vertices] = nodes_x[:, vertex_nodes]
     order = np.lexsort(vertex_x.T[::-1])
     rank_of = np.empty_like(order)
     rank_of[order] = np.arange(len(order))
     vertices = rank_of[vertices]
-    facet_order = np.lexsort(np.sort(vertices, axis=1).T[::-1])
+    facet_order = np.argsort(row_codes(np.sort(vertices, axis=1)), kind="stable")
     return Surface(
         name=name,
         x=vertex_x[order],
