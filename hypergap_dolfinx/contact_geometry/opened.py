@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 import basix.ufl
 from dolfinx import fem
-from hypergap_dolfinx.mortar.domain import distributed
+from hypergap_dolfinx.mortar.domain import distributed, share
 from hypergap_dolfinx.surface.trace import Surface
 
 
@@ -84,8 +84,9 @@ def on_surface(
     kind = {2: "interval", 3: "triangle"}[n]
     element = basix.ufl.element("Lagrange", kind, 1, shape=(n,))
     numbers = np.arange(len(nodes)).reshape(-1, n)
-    mesh, order = distributed(comm, numbers, nodes, np.concatenate(rank), element)
-    everything = np.concatenate(at)
+    mine = np.concatenate(rank) == comm.rank
+    mesh, order = distributed(comm, numbers[mine], share(comm, nodes), element)
+    everything = np.concatenate(at)[mine]
     shape = everything.shape[2:]
     discontinuous = ("Discontinuous Lagrange", 1)
     V = fem.functionspace(mesh, (*discontinuous, shape) if shape else discontinuous)

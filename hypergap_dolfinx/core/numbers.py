@@ -1,9 +1,16 @@
 # Copyright (C) 2026 The hypergap_dolfinx developers
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Numbers of what occurs several times. NumPy's ``unique`` takes ten times as long, or more."""
+"""Numbers of what occurs several times, and of lots of many.
+
+NumPy's ``unique`` of rows takes ten times as long, or more.
+"""
+
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
+
+LOT = 20_000  # things whose numbers fit into the processor's cache
 
 
 def used(numbers: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -24,3 +31,9 @@ def row_codes(rows: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
             code = np.unique(code, return_inverse=True)[1]
         code = code * size + column
     return code
+
+
+def lots(num: int) -> Iterator[slice]:
+    """Lots of many things: what is computed of one lot at a time needs hardly any memory."""
+    for start in range(0, num, LOT):
+        yield slice(start, min(start + LOT, num))

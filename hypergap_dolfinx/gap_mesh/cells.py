@@ -99,10 +99,10 @@ class GapCells:
     """Vertex coordinates, ``(num_vertices, n)``."""
     alpha: npt.NDArray[np.float64]
     """α at the vertices, ``(num_vertices,)``."""
-    cells: npt.NDArray[np.int64]
+    cells: npt.NDArray[np.integer]
     """Vertices of each cell, ``(num_cells, n + 1)``."""
-    normal: npt.NDArray[np.float64]
-    """Reference normal of each cell, from Γ0 to Γ1, ``(num_cells, n)``."""
+    normals: Callable[[npt.NDArray[np.intp]], npt.NDArray[np.float64]]
+    """``normals(cells)``: reference normals from Γ0 to Γ1, ``(num, n)``."""
     rank: npt.NDArray[np.int32]
     """Rank of each cell: the owner of a body's cell beside it, ``(num_cells,)``."""
     patch: npt.NDArray[np.int32]

@@ -54,9 +54,8 @@ class Problem:
     """Number of Γ0's vertices."""
     facets: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
     """Facets of both sides, counterclockwise seen from Γ1: ``(num_facets, 3)`` each."""
-    edges: npt.NDArray[np.integer]
-    """Inner edges of both: ends q and r, p on their left and s on their right; and two edges of the
-    boundary, a, b, c, −1: ``(num_edges, 4)``."""
+    sides: tuple[Side, Side]
+    """The surfaces."""
     normals: npt.NDArray[np.float64]
     """Unit normals of the vertices, from Γ0 to Γ1."""
     rims: list[WallRim]
@@ -73,17 +72,24 @@ class Problem:
         """
         n0 = len(side0.x)
         facets = side0.triangles, n0 + side1.triangles[:, ::-1]
-        edges1 = side1.inner_edges
-        edges = [side0.inner_edges, n0 + edges1[:, [1, 0, 2, 3]]]
-        pairs = rims(side0, side1)
-        for rim in pairs:
-            for loop in (rim.nodes[0], n0 + rim.nodes[1]):
-                three = (np.roll(loop, -k) for k in range(3))
-                edges.append(np.column_stack((*three, np.full(len(loop), -1))))
         normals = np.vstack((side0.vertex_normals, -side1.vertex_normals))
         x = np.vstack((side0.x, side1.x))
         curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
-        return cls(x, n0, facets, np.vstack(edges), normals, pairs, curved)
+        return cls(x, n0, facets, (side0, side1), normals, rims(side0, side1), curved)
+
+    @cached_property
+    def edges(self) -> npt.NDArray[np.integer]:
+        """Inner edges: ends q and r, p on their left and s on their right, ``(num_edges, 4)``.
+
+        And two edges of the boundary: a, b, c, −1.
+        """
+        edges0, edges1 = (side.inner_edges for side in self.sides)
+        edges = [edges0, self.n0 + edges1[:, [1, 0, 2, 3]]]
+        for rim in self.rims:
+            for loop in (rim.nodes[0], self.n0 + rim.nodes[1]):
+                three = (np.roll(loop, -k) for k in range(3))
+                edges.append(np.column_stack((*three, np.full(len(loop), -1))))
+        return np.vstack(edges)
 
     @cached_property
     def size(self) -> float:
@@ -276,7 +282,7 @@ def advance(
             made, wrong = front, _check(sides[0], vertices, front, outer)
     if status > 1:
         raise MemoryError("no memory for the cells of the gap domain")
-    cells = np.vstack((*((prisms.cells,) if prisms else ()), order[made]))
+    cells = np.vstack((*((prisms.cells,) if prisms else ()), ints(order)[made]))
     return Front(cells, walls, int(counts[1]), wrong)
 
 

@@ -56,7 +56,7 @@ def _leaning(slab: Slab) -> tuple[npt.NDArray, ...]:
     """
     cells, corners = _walls(slab)
     v = slab.cells[cells[:, None], corners]
-    normal = slab.normal[cells]
+    normal = slab.normals(cells)
     t = slab.x[v[:, 1]] - slab.x[v[:, 0]]
     length = lengths(t)
     outwards = (1 - 2 * slab.alpha[v[:, :1]]) * np.cross(t, normal)

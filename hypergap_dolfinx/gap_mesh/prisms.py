@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core.graph import components
-from hypergap_dolfinx.core.numbers import row_codes
+from hypergap_dolfinx.core.numbers import lots, row_codes
 from hypergap_dolfinx.gap_mesh.tetrahedra import find, single_faces
 from hypergap_dolfinx.gap_mesh.tolerances import NEAR_MATCHING
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area
@@ -55,14 +55,17 @@ def twins(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp]:
         own[k] = np.arange(len(k))
     both = np.all([np.bincount(k, minlength=len(found)) == 1 for k in keys], axis=0)
     pairs = np.stack([facets[own[both]] for facets, own in zip(whole, at, strict=True)], axis=1)
+    near_pairs = [pairs[some][_are_near(x0, x1, pairs[some])] for some in lots(len(pairs))]
+    slivers = [facets[n == 1] for facets, n in zip(sides, num, strict=True)]
+    return np.concatenate((*near_pairs, *(_edges(k, slivers, sides, places) for k in (0, 1))))
 
+
+def _are_near(x0, x1, pairs) -> npt.NDArray[np.bool_]:
+    """Mask of pairs that are near each other for their heights."""
     v = np.stack((x0[pairs[:, 0]], x1[pairs[:, 1]]), axis=1)  # (pair, side, vertex, x_i)
     heights = np.minimum(*(lengths(normals_by_area(v[:, i])) for i in (0, 1)))
     heights /= np.linalg.norm(v - np.roll(v, 1, axis=2), axis=3).max(axis=(1, 2), initial=1e-300)
-    apart = np.linalg.norm(v[:, 0] - v[:, 1], axis=2).max(axis=1)
-    pairs = pairs[apart <= NEAR_MATCHING * heights]
-    slivers = [facets[n == 1] for facets, n in zip(sides, num, strict=True)]
-    return np.concatenate((pairs, *(_edges(k, slivers, sides, places) for k in (0, 1))))
+    return np.linalg.norm(v[:, 0] - v[:, 1], axis=2).max(axis=1) <= NEAR_MATCHING * heights
 
 
 def _turned(facets, place):
@@ -109,16 +112,19 @@ def _near(x, y, reach: float):
 
     order = np.argsort(keys(y), kind="stable")
     known = keys(y)[order]
-    around = np.sort(keys(x[:, None] + reach * CORNERS), axis=1)  # of a cube around each
-    new = np.column_stack((np.ones(len(x), dtype=bool), np.diff(around, axis=1) != 0))
-    i, k = np.nonzero(new)
-    first, last = (np.searchsorted(known, around[i, k], side=side) for side in ("left", "right"))
-    count = last - first
-    i = np.repeat(i, count)
-    j = order[np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)]
-    square = ((x[i] - y[j]) ** 2).sum(axis=1)
-    use = square < reach**2
-    return i[use], j[use], square[use]
+    pairs = []
+    for some in lots(len(x)):
+        around = np.sort(keys(x[some, None] + reach * CORNERS), axis=1)  # of a cube around each
+        i, k = np.nonzero(np.diff(around, axis=1, prepend=-1) != 0)
+        places = around[i, k]
+        first, last = (np.searchsorted(known, places, side=side) for side in ("left", "right"))
+        count = last - first
+        i = some.start + np.repeat(i, count)
+        j = order[np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)]
+        square = ((x[i] - y[j]) ** 2).sum(axis=1)
+        use = square < reach**2
+        pairs.append((i[use], j[use], square[use]))
+    return tuple(map(np.concatenate, zip(*pairs, strict=True)))
 
 
 def middles(x0, facets0, x1, facets1, size: float) -> npt.NDArray[np.intp] | None:
@@ -198,7 +204,7 @@ class Prisms:
 
     pairs: npt.NDArray[np.intp]
     """The facets, Γ1's vertices numbered behind Γ0's, ``(num_pairs, 2, 3)``."""
-    cells: npt.NDArray[np.intp]
+    cells: npt.NDArray[np.int32]
     """Three for each, fewer for slivers, ``(num_cells, 4)``."""
 
     @classmethod
@@ -212,19 +218,23 @@ class Prisms:
                 and the lower one on Γ1 are connected.
             are_valid: Mask of valid cells, of some.
         """
-        order = np.argsort(-height[pairs[:, 1]], axis=1, kind="stable")
-        pairs = pairs + np.array((0, n0))[:, None]
-        sorted_pairs = np.take_along_axis(pairs, order[:, None], axis=2)
-        (a, a1), (b, b1), (c, c1) = sorted_pairs.transpose(2, 1, 0)
-        cells = np.stack(((a, b, c, c1), (a, b, c1, b1), (a, b1, c1, a1)))  # (cell, vertex, pair)
-        cells = cells.transpose(2, 0, 1).copy()
-        odd = (order[:, 1] - order[:, 0]) % 3 != 1  # turned round by the sorting
-        cells[odd] = cells[odd][:, :, [1, 0, 2, 3]]
-        there = (np.diff(np.sort(cells, axis=2), axis=2) > 0).all(axis=2)
-        good = ~there
-        good[there] = are_valid(cells[there])
-        use = good.all(axis=1)
-        return cls(pairs[use], cells[use][there[use]])
+        found = [(pairs[:0], np.empty((0, 4), dtype=np.int32))]
+        for some in lots(len(pairs)):
+            own = pairs[some]
+            order = np.argsort(-height[own[:, 1]], axis=1, kind="stable")
+            own = own + np.array((0, n0))[:, None]
+            sorted_pairs = np.take_along_axis(own, order[:, None], axis=2)
+            (a, a1), (b, b1), (c, c1) = sorted_pairs.transpose(2, 1, 0)
+            cells = np.stack(((a, b, c, c1), (a, b, c1, b1), (a, b1, c1, a1)))
+            cells = np.ascontiguousarray(cells.transpose(2, 0, 1), dtype=np.int32)
+            odd = (order[:, 1] - order[:, 0]) % 3 != 1  # turned round by the sorting
+            cells[odd] = cells[odd][:, :, [1, 0, 2, 3]]
+            there = (np.diff(np.sort(cells, axis=2), axis=2) > 0).all(axis=2)
+            good = ~there
+            good[there] = are_valid(cells[there])
+            use = good.all(axis=1)
+            found.append((own[use], cells[use][there[use]]))
+        return cls(*map(np.concatenate, zip(*found, strict=True)))
 
     def left(self, facets) -> list[npt.NDArray[np.integer]]:
         """Facets of both sides, ``(num_facets, 3)`` each, that have no twins."""

@@ -306,35 +306,31 @@ def mesh_slab(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> SlabCells
     surfaces = surface0, surface1
     groups, num, behind = pairs_of_pieces(*surfaces)
 
-    def make() -> list[Slab]:
-        sides = [
-            [
-                Side.of(surface, np.flatnonzero(group == g), behind=neighbours)
-                for surface, group, neighbours in zip(surfaces, groups, behind, strict=True)
-            ]
-            for g in range(num)
-        ]
-        return [slab for pair in sides for slab in fill_common(*pair)]
-
-    gap = _joined(surfaces, groups[1], _on_all_ranks(comm, surfaces, make))
+    of_sides = (
+        [Side.of(surface, np.flatnonzero(group == g), behind=neighbours) for g in range(num)]
+        for surface, group, neighbours in zip(surfaces, groups, behind, strict=True)
+    )
+    pieces = list(zip(*of_sides, strict=True))
+    gap = _joined(surfaces, groups[1], _on_all_ranks(comm, pieces))
     if comm.rank == 0 and LOG.isEnabledFor(logging.INFO):
         LOG.info("Σ has %s; %.2g s", summary(gap.slabs), time.perf_counter() - start)
     return gap
 
 
-def _on_all_ranks(comm: MPI.Comm, surfaces: tuple[Surface, Surface], make) -> list[Slab]:
-    """The slabs that ``make()`` returns or the error it raises on rank 0. Collective."""
+def _on_all_ranks(comm: MPI.Comm, pieces: Sequence[tuple[Side, Side]]) -> list[Slab]:
+    """The slabs between facing pieces, or the error that rank 0 raises making them. Collective."""
     result: list[tuple] = []
     slabs: list[Slab] = []
     error = None
     if comm.rank == 0:
         try:
-            slabs = make()
-            arrays = [tuple(side.arrays for side in slab.sides) for slab in slabs]
-            result = [
-                (*part, slab.cells, slab.inner, slab.straight, slab.walls, slab.excess)
-                for part, slab in zip(arrays, slabs, strict=True)
-            ]
+            for g, pair in enumerate(pieces):
+                for slab in fill_common(*pair):
+                    is_cut = any(side is not own for side, own in zip(slab.sides, pair))
+                    cut = [side.arrays for side in slab.sides] if is_cut else None
+                    made = slab.cells, slab.inner, slab.straight, slab.walls, slab.excess
+                    slabs.append(slab)
+                    result.append((g, cut, made))
         except (InterfaceError, RuntimeError) as e:
             error = e
     wait_idly(comm)
@@ -343,11 +339,18 @@ def _on_all_ranks(comm: MPI.Comm, surfaces: tuple[Surface, Surface], make) -> li
     if comm.size > 1:
         result = comm.bcast(result)
     if comm.rank > 0:
-        slabs = [
-            Slab((Side(surfaces[0], *own), Side(surfaces[1], *other)), *part)
-            for own, other, *part in result
-        ]
+        for g, cut, made in result:
+            own, other = pieces[g]
+            sides = own, other
+            if cut:
+                sides = Side(own.surface, *cut[0]), Side(other.surface, *cut[1])
+            slabs.append(Slab(sides, *made))
     return slabs
+
+
+def _stacked(arrays: list[npt.NDArray]) -> npt.NDArray:
+    """Arrays in one; the only one itself."""
+    return np.concatenate(arrays) if len(arrays) > 1 else arrays[0]
 
 
 def _joined(surfaces: tuple[Surface, Surface], patch, slabs: list[Slab]) -> SlabCells:
@@ -361,23 +364,31 @@ def _joined(surfaces: tuple[Surface, Surface], patch, slabs: list[Slab]) -> Slab
     num_cells = np.cumsum([0] + [len(slab.cells) for slab in slabs])
     offsets = np.cumsum([0] + [len(slab.x) for slab in slabs])
 
+    def of_slabs(cells):
+        """Slabs with their own numbers of some cells, and the order of what they give."""
+        order = np.argsort(cells, kind="stable")
+        parts = np.split(cells[order], np.searchsorted(cells[order], num_cells[1:-1]))
+        own = [part - n for part, n in zip(parts, num_cells[:-1], strict=True)]
+        return zip(slabs, own, strict=True), np.argsort(order, kind="stable")
+
     def hosts(points: npt.NDArray[np.float64], cells: npt.NDArray[np.intp]) -> Hosts:
         if len(slabs) == 1:
             return slabs[0].hosts(points, cells)
-        order = np.argsort(cells, kind="stable")
-        parts = np.split(cells[order], np.searchsorted(cells[order], num_cells[1:-1]))
-        lots = zip(slabs, parts, num_cells[:-1], strict=True)
-        found = Hosts.concatenate([slab.hosts(points, part - n) for slab, part, n in lots])
-        return found[np.argsort(order, kind="stable")]
+        each, order = of_slabs(cells)
+        return Hosts.concatenate([slab.hosts(points, own) for slab, own in each])[order]
+
+    def normals(cells: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+        each, order = of_slabs(cells)
+        return _stacked([slab.normals(own) for slab, own in each])[order]
 
     straight = np.vstack([marked(slab.cells, slab.straight) for slab in slabs])
     degree = max(side.degree for slab in slabs for side in slab.sides)
     return SlabCells(
-        x=np.vstack([slab.x for slab in slabs]),
-        alpha=np.concatenate([slab.alpha for slab in slabs]),
-        cells=np.vstack([slab.cells + start for slab, start in zip(slabs, offsets)]),
-        normal=np.vstack([slab.normal for slab in slabs]),
-        rank=np.concatenate([slab.rank for slab in slabs]),
+        x=_stacked([slab.x for slab in slabs]),
+        alpha=_stacked([slab.alpha for slab in slabs]),
+        cells=_stacked([slab.cells + n if n else slab.cells for slab, n in zip(slabs, offsets)]),
+        normals=normals,
+        rank=_stacked([slab.rank for slab in slabs]),
         patch=patch,
         covered=covered,
         least=least,

@@ -111,14 +111,18 @@ class Slab:
                 total[-self.inner.alpha.size :] += sign * side.normals[self.inner.facets[i][0]]
         return total / np.maximum(lengths(total), 1e-300)[:, None]
 
+    def normals(self, cells) -> npt.NDArray[np.float64]:
+        """Reference normals: a base's, else the mean at the cell's vertices, ``(num, 3)``."""
+        normal = np.empty((len(cells), 3))
+        of_sides = (doubles(side.normals) for side in self.sides)
+        given = ints(self.cells[cells]), self.vertex_normals, ints(self.bases[:, cells]), *of_sides
+        call("cell_normals", len(cells), *given, normal)
+        return normal
+
     @cached_property
     def normal(self) -> npt.NDArray[np.float64]:
-        """Reference normals: a base's, else the mean at the cell's vertices, ``(num_cells, 3)``."""
-        normal = np.empty((len(self.cells), 3))
-        of_sides = (doubles(side.normals) for side in self.sides)
-        given = self._cells, self.vertex_normals, self.bases, *of_sides
-        call("cell_normals", len(self.cells), *given, normal)
-        return normal
+        """The normals of all cells, ``(num_cells, 3)``."""
+        return self.normals(np.arange(len(self.cells)))
 
     @property
     def rank(self) -> npt.NDArray[np.int32]:

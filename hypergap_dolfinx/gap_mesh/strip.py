@@ -571,7 +571,7 @@ def mesh_strip(surface0: Surface, surface1: Surface) -> GapCells:
         x=np.vstack([strip.x for strip in strips]),
         alpha=np.concatenate([strip.alpha for strip in strips]),
         cells=np.vstack([strip.cells + offset for strip, offset in zip(strips, offsets)]),
-        normal=normal,
+        normals=lambda cells: normal[cells],
         rank=rank,
         patch=patch,
         covered=covered,

@@ -19,7 +19,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
-from hypergap_dolfinx.core.numbers import row_codes, used
+from hypergap_dolfinx.core.numbers import lots, row_codes
 from hypergap_dolfinx.errors import InvertedCellError
 from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab
@@ -94,8 +94,7 @@ class GapDomain:
     @cached_property
     def _made(self) -> tuple[Mesh, npt.NDArray[np.intp]]:
         """The mesh, and this rank's cells in its order. Collective."""
-        mesh, order = self.create_mesh()
-        return mesh, np.argsort(np.argsort(order))
+        return self.create_mesh()
 
     @property
     def mesh(self) -> Mesh:
@@ -163,14 +162,14 @@ class GapDomain:
 
     def _extent(self) -> tuple[float, float]:
         """Area and volume. Collective."""
-        n = self.x.shape[2]
-        vertices = self.x[:, : n + 1]
-        volume = np.abs(np.linalg.det(vertices[:, 1:] - vertices[:, :1])).sum()
-        element = self.quadrature(1)
-        N, _ = kernel.geometry_at_points(element, self.x, self.alpha_vertices)
-        area = (element.weights * np.linalg.norm(N, axis=2)).sum()
-        total = self.comm.allreduce(np.array((area, volume / math.factorial(n))))
-        return float(total[0]), float(total[1])
+        n, element, total = self.x.shape[2], self.quadrature(1), np.zeros(2)
+        for some in lots(len(self.x)):
+            x = self.x[some]
+            volumes = np.linalg.det(x[:, 1 : n + 1] - x[:, :1])
+            N, _ = kernel.geometry_at_points(element, x, self.alpha_vertices[some])
+            total += (element.weights * np.linalg.norm(N, axis=2)).sum(), np.abs(volumes).sum()
+        area, volume = self.comm.allreduce(total)
+        return float(area), float(volume / math.factorial(n))
 
     def quadrature(self, degree: int) -> kernel.GapElement:
         """Tables of the gap element at the points of a Gauss rule."""
@@ -303,17 +302,17 @@ def create_gap_domain(comm: MPI.Comm, surface0: Surface, surface1: Surface) -> G
         comm=comm,
         geometry=coordinates.basix_element,
         element=element,
-        nodes=nodes[mine],
+        nodes=nodes,
         owned=owned,
         x=x_cells,
         alpha_vertices=gap.alpha[gap.cells[mine]],
-        normal=gap.normal[mine],
+        normal=gap.normals(mine),
         curved=_curved(x_cells, points, np.abs(x).max()),
         hosts=gap.hosts(element.points, mine),
         patch=gap.patch,
         covered=gap.covered,
         least=gap.least,
-        create_mesh=partial(distributed, comm, cells, x, gap.rank, coordinates),
+        create_mesh=partial(distributed, comm, cells[mine], share(comm, x), coordinates),
         excess=gap.excess,
         overhang=gap.overhang and gap.overhang.at(mine, len(gap.cells)),
     )
@@ -340,43 +339,47 @@ def _by_owner(
         rank: Rank of each cell.
 
     Returns:
-        The new numbers, and this rank's range of them.
+        The new numbers in this rank's cells, and its range of them.
     """
-    found, at = used(nodes)
-    owner = np.empty(len(found), dtype=np.intp)
+    owner = np.full(int(nodes.max(initial=-1)) + 1, comm.size, dtype=np.int32)
     last = np.argsort(-rank, kind="stable")  # lower ranks overwrite higher ones
-    owner[at[last]] = rank[last, None]
+    for some in lots(len(last)):
+        owner[nodes[last[some]]] = rank[last[some], None]
     order = np.argsort(owner, kind="stable")
-    number = np.empty(len(found), dtype=np.int64)
-    number[order] = np.arange(len(found))
+    number = np.empty(len(owner), dtype=np.int64)
+    number[order] = np.arange(len(owner))
     start, end = np.searchsorted(owner[order], (comm.rank, comm.rank + 1))
-    return number[at], (int(start), int(end))
+    return number[nodes[rank == comm.rank]], (int(start), int(end))
+
+
+def share(comm: MPI.Comm, x: npt.NDArray) -> npt.NDArray:
+    """This rank's share of an array that every rank has, as large as others', in their order."""
+    first, last = (len(x) * rank // comm.size for rank in (comm.rank, comm.rank + 1))
+    return x[first:last].copy()
 
 
 def distributed(
-    comm: MPI.Comm, cells, x, rank, element: basix.ufl._ElementBase
+    comm: MPI.Comm, cells, x, element: basix.ufl._ElementBase
 ) -> tuple[Mesh, npt.NDArray[np.intp]]:
-    """A distributed mesh of cells that every rank knows. Collective.
+    """A distributed mesh of this rank's cells. Collective.
 
     Args:
         comm: Communicator.
-        cells: Nodes of the cells, ``(num_cells, num_cell_nodes)``.
-        x: Nodes, ``(num_nodes, n)``.
-        rank: Rank of each cell, ``(num_cells,)``.
+        cells: Global nodes of this rank's cells, ``(num_cells, num_cell_nodes)``.
+        x: The first nodes on rank 0, those behind them on rank 1, and so on, ``(num_nodes, n)``.
         element: Element of the coordinates.
 
     Returns:
         The mesh, and the numbers of this rank's cells in its order.
     """
-    mine = np.flatnonzero(rank == comm.rank)
-    nodes = x if comm.rank == 0 else x[:0]
 
-    def stay(comm, num_parts, cell_types, cells):
-        return compat.destinations(np.full(len(mine), comm.rank, dtype=np.int32))
+    def stay(comm, num_parts, cell_types, cells_of_type):
+        return compat.destinations(np.full(len(cells), comm.rank, dtype=np.int32))
 
-    mesh = dolfinx.mesh.create_mesh(comm, cells[mine], e=element, x=nodes, partitioner=stay)
-    start = sum(comm.allgather(len(mine))[: comm.rank])
-    return mesh, mine[mesh.topology.original_cell_index - start]
+    given = cells.astype(np.int64)
+    mesh = dolfinx.mesh.create_mesh(comm, given, e=element, x=x, partitioner=stay)
+    start = sum(comm.allgather(len(cells))[: comm.rank])
+    return mesh, mesh.topology.original_cell_index - start
 
 
 def _curved(x, points, magnitude) -> npt.NDArray[np.bool_]:

@@ -44,7 +44,7 @@ from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import collective, compat
 from hypergap_dolfinx.core.sparse import coo_matrix, of_columns, product, triplets
 from hypergap_dolfinx.mortar.constraint import Constraint
-from hypergap_dolfinx.mortar.domain import GapDomain, distributed, subtract_squares
+from hypergap_dolfinx.mortar.domain import GapDomain, distributed, share, subtract_squares
 from hypergap_dolfinx.mortar.fields import nodal_values
 from hypergap_dolfinx.mortar.tolerances import ON_SURFACE, PASSES, SMOOTH, WEIGHT
 from hypergap_dolfinx.surface.tolerances import SAME_NODE
@@ -141,12 +141,9 @@ class Faces:
         gathered = comm.allgather((nodes, self.domain.x[each, local]))
         nodes, x = [np.concatenate(parts) for parts in zip(*gathered, strict=True)]
         _, first, number = np.unique(nodes, return_index=True, return_inverse=True)
-        sizes = [len(part) for part, _ in gathered]
-        rank = np.repeat(np.arange(comm.size), sizes)
-        made, order = distributed(
-            comm, number.reshape(nodes.shape), x.reshape(-1, x.shape[2])[first], rank, element
-        )
-        return made, order - sum(sizes[: comm.rank])
+        sizes = np.cumsum([0] + [len(part) for part, _ in gathered])
+        own = number.reshape(nodes.shape)[slice(*sizes[comm.rank :][:2])]
+        return distributed(comm, own, share(comm, x.reshape(-1, x.shape[2])[first]), element)
 
     def function(self, nodal: npt.NDArray, shape: tuple[int, ...], name: str) -> fem.Function:
         """A function on the mesh of the faces. Collective.

@@ -38,7 +38,7 @@ def measure(gap):
             X[:, 0, 0] * dalpha[:, 1] - X[:, 0, 1] * dalpha[:, 0],
         )
     )
-    return np.einsum("ci,ci->c", N, gap.normal) / 2
+    return np.einsum("ci,ci->c", N, gap.normals(np.arange(len(gap.cells)))) / 2
 
 
 def edges(gap):
