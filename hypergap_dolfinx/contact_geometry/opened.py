@@ -46,8 +46,9 @@ def on_sigma(comm: MPI.Comm, cells: OpenCells, name: str, values=None) -> fem.Fu
     kind = {2: "triangle", 3: "tetrahedron"}[n]
     element = basix.ufl.element("Lagrange", kind, 1, shape=(n,))
     vertices = np.arange(len(x)).reshape(-1, n + 1)
-    mesh, order = distributed(comm, vertices, x, cells.rank, element)
-    values = getattr(cells, name) if values is None else values
+    mine = cells.rank == comm.rank
+    mesh, order = distributed(comm, vertices[mine], share(comm, x), element)
+    values = (getattr(cells, name) if values is None else values)[mine]
     shape = values.shape[1:]
     kind = "Discontinuous Lagrange"
     V = fem.functionspace(mesh, (kind, 0, shape) if shape else (kind, 0))

@@ -57,7 +57,7 @@ class Side:
 
         Args:
             surface: Γ_i.
-            facets: Numbers of the facets, ``(num_facets,)``.
+            facets: Numbers of the facets, rising, ``(num_facets,)``.
             halves: True if quadrilaterals are cut into two triangles, to be cut further, instead of
                 four.
             behind: Neighbours of all facets of the surface, if they are known.
@@ -68,12 +68,16 @@ class Side:
         x, corners = surface.x[used], number[surface.facets[facets]].astype(np.intp)
         if corners.shape[1] == 3:
             X = np.broadcast_to(TRIANGLE_CORNERS, (len(facets), 3, 2))
-            side = cls(surface, x, corners, facets, X)
-            known = {"is_whole": True, "normals": surface.normals[facets]}
+            side, normals = cls(surface, x, corners, facets, X), surface.normals
+            if len(facets) < len(surface.facets):
+                normals = normals[facets]
+                if behind is not None:
+                    own = np.full(len(surface.facets) + 1, -1, dtype=np.int32)  # and −1 of −1
+                    own[facets] = np.arange(len(facets))
+                    behind = own[behind[facets]]
+            known = {"is_whole": True, "normals": normals}
             if behind is not None:
-                own = np.full(len(surface.facets) + 1, -1)  # and −1 of −1
-                own[facets] = np.arange(len(facets))
-                known["behind"] = own[behind[facets]]
+                known["behind"] = behind
             side.__dict__.update(known)  # values of cached properties
             return side
         places, pieces = HALVES if halves else QUARTERS
@@ -160,7 +164,7 @@ class Side:
         return whole and bool((self.X == TRIANGLE_CORNERS).all())
 
     @cached_property
-    def behind(self) -> npt.NDArray[np.intp]:
+    def behind(self) -> npt.NDArray[np.int32]:
         """The triangle behind each edge of each triangle, −1 at the rim, ``(num_triangles, 3)``."""
         return neighbours(self.triangles, self.surface.name, self.x)
 

@@ -24,7 +24,7 @@ from hypergap_dolfinx.surface.tolerances import (
 from hypergap_dolfinx.surface.trace import Surface, around, lengths
 
 
-def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.intp]:
+def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np.int32]:
     """The facet behind each edge of each facet, −1 behind a boundary edge.
 
     Args:
@@ -41,7 +41,7 @@ def neighbours(facets: npt.NDArray, name: str, x: npt.NDArray) -> npt.NDArray[np
     """
     behind = np.empty(facets.shape, dtype=np.int32)
     if call("find_neighbours", len(x), *facets.shape, ints(facets), behind) == 0:
-        return behind.astype(np.intp)
+        return behind
     a, b = facets.ravel().astype(np.int64), np.roll(facets, -1, axis=1).ravel().astype(np.int64)
     key = 2 * (np.minimum(a, b) * len(x) + np.maximum(a, b)) + (a > b)
     order = np.argsort(key)
@@ -69,7 +69,7 @@ def edge_ends(surface: Surface, facet, k) -> tuple[npt.NDArray[np.int32], npt.ND
     return polygons[facet, k % num], polygons[facet, (k + 1) % num]
 
 
-def kinks(surface: Surface, behind: npt.NDArray[np.intp]):
+def kinks(surface: Surface, behind: npt.NDArray[np.int32]):
     """Edges at which a surface has a kink: it turns there, and hardly beside it.
 
     Facets that approximate a smooth surface turn about as much at the next parallel edges. Curved
