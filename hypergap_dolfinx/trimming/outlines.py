@@ -109,8 +109,8 @@ class Rim:
         number[loop] = np.arange(len(loop))
         f, k = np.nonzero(number[side.triangles] >= 0)
         own = number[side.triangles[f, k]]
-        triangles = np.column_stack((f, side.behind[f]))
-        triangles = np.where(triangles < 0, f[:, None], triangles)
+        beside = side.behind[f]
+        triangles = np.column_stack((f, np.where(beside < 0, f[:, None], beside)))
         order = np.argsort(own, kind="stable")
         starts = np.searchsorted(own[order], np.arange(len(loop)))
         normals = side.normals[triangles[order]].reshape(-1, 3)
