@@ -16,8 +16,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.core.graph import components
-from hypergap_dolfinx.core.numbers import lots, row_codes
+from hypergap_dolfinx.core.graph import components, lots, row_codes
 from hypergap_dolfinx.gap_mesh.tetrahedra import find, single_faces
 from hypergap_dolfinx.gap_mesh.tolerances import NEAR_MATCHING
 from hypergap_dolfinx.surface.trace import lengths, normals_by_area

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.core.compiled import call, doubles, ints
-from hypergap_dolfinx.core.numbers import row_codes
+from hypergap_dolfinx.core.graph import row_codes
 from hypergap_dolfinx.gap_mesh.cells import Hosts
 from hypergap_dolfinx.gap_mesh.tetrahedra import NONE, find, have
 from hypergap_dolfinx.gap_mesh.walls import NO_WALLS, Outline, in_walls

@@ -19,7 +19,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
-from hypergap_dolfinx.core.numbers import lots, row_codes
+from hypergap_dolfinx.core.graph import lots, row_codes
 from hypergap_dolfinx.errors import InvertedCellError
 from hypergap_dolfinx.gap_mesh.cells import Hosts, Overhang, geometry_element
 from hypergap_dolfinx.gap_mesh.slab import mesh_slab

@@ -18,7 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.core import compat
 from hypergap_dolfinx.core.collective import raise_on_all
 from hypergap_dolfinx.core.compiled import doubles, ints
-from hypergap_dolfinx.core.numbers import row_codes
+from hypergap_dolfinx.core.graph import row_codes
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.surface.projection import terms
 from hypergap_dolfinx.surface.tolerances import (
