@@ -12,8 +12,6 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from hypergap_dolfinx.core.tolerances import MANY_PARTS
 
-LOT = 20_000  # things whose numbers fit into the processor's cache
-
 
 def components(num: int, i: npt.NDArray, j: npt.NDArray) -> npt.NDArray[np.int32]:
     """Connected components of a graph, numbered by their lowest vertex.
@@ -113,7 +111,7 @@ def row_codes(rows: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
     return code
 
 
-def lots(num: int) -> Iterator[slice]:
-    """Lots of many things: what is computed of one lot at a time needs hardly any memory."""
-    for start in range(0, num, LOT):
-        yield slice(start, min(start + LOT, num))
+def lots(num: int, size: int = 20_000) -> Iterator[slice]:
+    """Lots of many things: what is computed of one lot at a time fits into the processor's cache."""
+    for start in range(0, num, size):
+        yield slice(start, min(start + size, num))
