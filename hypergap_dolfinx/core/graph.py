@@ -112,6 +112,6 @@ def row_codes(rows: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
 
 
 def lots(num: int, size: int = 20_000) -> Iterator[slice]:
-    """Lots of many things: what is computed of one lot at a time fits into the processor's cache."""
+    """Lots of many things: one at a time fits into the processor's cache."""
     for start in range(0, num, size):
         yield slice(start, min(start + size, num))
