@@ -4,7 +4,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mpi4py import MPI
@@ -424,7 +424,7 @@ class Contact(Settable):
         """
         rows = self._solved_rows(problem)
         if self._where(on, "surface") == "surface":
-            found = SurfacePressure.of(self._state(rows))
+            found = SurfacePressure.of(self._state(problem, rows))
             return self._drawn(found, rows, "pressure")
         if on == "body":
             return self._at_vertices(self.pressures(problem), "pressure")
@@ -592,7 +592,7 @@ class Contact(Settable):
 
     def _surface_shear(self, problem, rows: FrictionRows) -> SurfaceShear:
         """Traction of friction on Γ1's facets, with roots at edges between stick and slip."""
-        state, slips = self._state(rows), rows.spread(rows.slips.astype(float)) > 0
+        state, slips = self._state(problem, rows), rows.spread(rows.slips.astype(float)) > 0
         if self.axisymmetric or self._surfaces[1].gdim > 2:  # where slips turn r isn't smooth
             slips[:] = False
         ways = directions(state.surface, rows.shears, slips)
@@ -604,11 +604,13 @@ class Contact(Settable):
         p, r = SurfacePressure.of(state), SurfacePressure.of(margin, MISSED_ROOT)
         return SurfaceShear(p, self.shears(problem), ways, r)
 
-    def _state(self, rows: ContactRows) -> ContactState:
+    def _state(self, problem, rows: ContactRows) -> ContactState:
         """Pressures at vertices."""
         now, exists = rows.state, rows.spread(rows.valid.astype(float)) > 0
         gaps = rows.spread(rows.distance)
-        return self._state_of(rows, now.p * now.active, now.active, exists, gaps)
+        state = self._state_of(rows, now.p * now.active, now.active, exists, gaps)
+        hard = self._compliance is None
+        return replace(state, compliance=problem.compliance(rows) if hard else 0.0)
 
     def _state_of(self, rows: ContactRows, p, active, exists, gaps) -> ContactState:
         """State at vertices; arguments: pressures of multipliers, and those that are active."""

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
 from hypergap_dolfinx.surface.component import Component, unrolled
+from hypergap_dolfinx.surface.moving import MovingSurface
 
 
 class DisplacementField:
@@ -55,6 +56,33 @@ class DisplacementField:
         diagonal.destroy()
         comm = self.part.space.mesh.comm
         return comm.allreduce(float(mine.sum())) / comm.allreduce(len(mine))
+
+    def of_slopes(self, K: PETSc.Mat, side: MovingSurface) -> npt.NDArray[np.float64]:
+        """Forces at a surface's dofs by displacements that are linear in space. Collective.
+
+        Args:
+            K: The body's stiffness.
+            side: The surface.
+
+        Returns:
+            By e_b x_a, ``(num_dofs, n, b, a)``, the same on every rank.
+        """
+        n, map_ = side.reference.gdim, self.part.space.dofmap.index_map
+        x = self.part.space.tabulate_dof_coordinates()[: map_.size_local, :n]
+        x = x - side.reference.x.mean(axis=0)
+        dofs = side.dofs - map_.local_range[0]
+        own = (dofs >= 0) & (dofs < len(x))
+        found, (u, forces) = np.zeros((len(dofs), n, n, n)), K.createVecs()
+        for b, a in np.ndindex(n, n):
+            given = np.zeros_like(x)
+            given[:, b] = x[:, a]
+            u.array[:] = self.part.into_body(given.ravel())
+            K.mult(u, forces)
+            every = self.part.of_body(forces.array_r).real.reshape(-1, n)
+            found[own, :, b, a] = every[dofs[own]]
+        for vector in (u, forces):
+            vector.destroy()
+        return self.part.space.mesh.comm.allreduce(found)
 
     def lengths(self, K: PETSc.Mat) -> npt.NDArray[np.float64]:
         """Root mean squares of the norms of each field's rows by each field. Collective.

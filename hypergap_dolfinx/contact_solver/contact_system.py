@@ -45,6 +45,7 @@ from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import InterfaceError, SolveError
 from hypergap_dolfinx.interface_laws.coupling import CoupledMotion
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBodyMotion
+from hypergap_dolfinx.mortar import free_edges
 from hypergap_dolfinx.multipliers.interface import TiedInterfaces
 from hypergap_dolfinx.solvers.multigrid import Multigrid
 from hypergap_dolfinx.solvers.newton import NonlinearSystem
@@ -976,6 +977,20 @@ class ContactSystem(NonlinearSystem):
         held = self._of_displacements(self._held)[: self._num_elastic]
         found = np.reshape([of.reshape(-1, self._dim).sum(axis=0) for of in held], (-1, self._dim))
         return [(int(i), int(a)) for i, a in np.argwhere(self._comm.allreduce(found) == 0)]
+
+    def compliance(self, rows: ContactRows) -> float:
+        """1/E* of half-spaces of a contact's bodies, 0 if it isn't known. Collective."""
+        found = 0.0
+        for i, side in zip(rows.bodies, rows.sides, strict=True):
+            if i is None or i >= self._num_elastic:
+                continue  # rigid
+            if self._fields[i].num_others or not free_edges.bends(side):
+                return 0.0
+            part = free_edges.compliance(side, self._fields[i].of_slopes(self._K[i], side))
+            if not part:
+                return 0.0
+            found += part
+        return found
 
     def _forces_of(self, i: int, a: int) -> npt.NDArray[np.float64]:
         """Derivatives of the sum of a body's forces along an axis, on this rank. Collective."""

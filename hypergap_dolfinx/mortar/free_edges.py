@@ -19,8 +19,9 @@ with the forces F of the multipliers at the dofs j of Γ1's body, along its norm
 facets f: what goes from a dof to the next is an error of the mesh. The sum over all dofs near one
 edge is kept. There are jumps of slopes between facets, and in the plane places :math:`x_r` where
 gaps say that contact ends. Beyond an edge they go like :math:`d^{3/2}`, and those of vertices are
-means over hat functions: the quotient of the first two has one :math:`x_r`. Elsewhere p is linear
-between vertices.
+means over hat functions: the quotient of the first two has one :math:`x_r`. Where displacements on
+facets aren't linear, in the plane and in space, gaps themselves say what s is at the first open
+vertices (:class:`_Opening`). Elsewhere p is linear between vertices.
 
 An edge of contact is free where an active vertex has a neighbour that is open, as others beside
 that are, and lies opposite Γ0, and where pressure falls towards it. At corners it rises (it is
@@ -72,6 +73,8 @@ class ContactState:
     """Mean gaps of open vertices, weighted by their hat functions, ``(num_vertices,)``."""
     forces: Floats
     """Forces of the pressures at :attr:`side`'s dofs, ``(num_dofs, n)``."""
+    compliance: float = 0.0
+    """1/E*: of half-spaces of both bodies' materials in plane strain; 0 if it isn't known."""
 
     @cached_property
     def vertices(self) -> npt.NDArray[np.intp]:
@@ -339,6 +342,7 @@ class _RootFit:
         after = first + jumps.i.max(initial=-1) + 1
         i = np.append(first + jumps.i, after + roots.i)
         self.jumps = replace(joined(jumps, roots), i=i).summed
+        self.opening, self.target = Sparse.empty(), np.zeros(len(free))  # rows of s - target
 
     def _sums(self, scale: Floats) -> Sparse:
         """Sums of forces over facets and over parts of the region, over their sizes.
@@ -404,11 +408,11 @@ class _RootFit:
         i = np.broadcast_to(at[:, :, None], by.shape).ravel()
         j = np.broadcast_to(corners[:, None], by.shape).ravel()
         J = self.sums @ Sparse(i, j.astype(np.int64), by.ravel())
-        every = joined(J, self.jumps).some(self.free[np.append(J.j, self.jumps.j)])
-        values = np.append(
-            self.sums.values * error[self.sums.j], self.jumps.values * s[self.jumps.j]
-        )
-        error = np.bincount(np.append(self.sums.i, self.jumps.i), values)
+        linear = joined(self.jumps, self.opening)
+        every = joined(J, linear).some(self.free[np.append(J.j, linear.j)])
+        of_s = np.append(s[self.jumps.j], (s - self.target)[self.opening.j])
+        values = np.append(self.sums.values * error[self.sums.j], linear.values * of_s)
+        error = np.bincount(np.append(self.sums.i, linear.i), values)
         return error, replace(every, values=every.values * self.mean[every.j] ** 2)
 
     def _continued(self, s: Floats) -> Floats:
@@ -448,12 +452,36 @@ class _RootFit:
         return result
 
     def solve(self, s: Floats) -> Floats:
-        """Find s at all vertices, by the method of Levenberg and Marquardt.
+        """Find s at all vertices, first without gaps' law, of which slopes of s are a part.
+
+        Beside corners p may be zero where there is contact: s isn't linear there, as the law has
+        it, and is found without it.
 
         Args:
             s: p² at vertices, ``(num_vertices,)``.
         """
-        s = self._continued(s)
+        s, active = self._best(self._continued(s)), self.state.active & self.free
+        if not self.state.compliance:
+            return s
+        opening = _Opening(self.state, self.free & ~self._parts_with(active & (s <= 0)))
+        w = opening.w
+        if len(w):
+            alone, first = s, 1 + max(part.i.max(initial=-1) for part in (self.sums, self.jumps))
+            self.opening = Sparse(first + np.arange(len(w)), w, opening.share / self.mean[w] ** 2)
+            for _ in range(3):  # steeper slopes give steeper targets: until they stay is too steep
+                self.target[w] = opening.values(s)
+                s = self._best(s)
+            with_law = self._parts_with(w) & ~self._parts_with(active & (s <= 0))
+            s = np.where(with_law, s, alone)
+        return s
+
+    def _parts_with(self, some: Mask | npt.NDArray[np.intp]) -> Mask:
+        """Mask of the vertices in parts with any of some vertices, ``(num_vertices,)``."""
+        part = self.totals[self.state.vertices]
+        return np.isin(part, part[some])
+
+    def _best(self, s: Floats) -> Floats:
+        """Find s at all vertices from one, by the method of Levenberg and Marquardt."""
         error, J = self._errors(s)
         damping, least = 1e-3, error @ error
         for _ in range(STEPS_ROOT):
@@ -468,6 +496,101 @@ class _RootFit:
             else:
                 damping *= 5
         return s
+
+
+class _Opening:
+    r"""What gaps of open vertices beside an edge say of s.
+
+    Where :math:`p = \sqrt{k d}`, bodies open beyond the edge by :math:`g = \frac{4}{3 E^*}
+    \sqrt{k}\,d^{3/2}` (the same root of s < 0 is E*/2 times g's slope), with d the distance
+    from it. So a mean gap gives d, and s there is -k d.
+    """
+
+    def __init__(self, state: ContactState, free: Mask):
+        """Set up means over hat functions; arguments as those of :class:`_RootFit`."""
+        self.state, surface = state, state.surface
+        facets, active = surface.facets, state.active
+        on = active[facets]
+        beside = np.zeros(len(active), dtype=bool)
+        beside[facets[on.any(axis=1)]] = True
+        self.w = np.flatnonzero(beside & ~active & state.exists & free & (state.gaps > 0))
+        """The vertices."""
+        number = np.full(len(active), -1)
+        number[self.w] = np.arange(len(self.w))
+        num = len(self.w)
+        # Means of points of facets
+        at, corner = np.nonzero(number[facets] >= 0)
+        self.i = number[facets[at, corner]]
+        X = simplices(surface.geometry.cell_type, PARTS_ROOT[surface.gdim - 2]).mean(axis=1)
+        N = hats(surface, X)
+        weight = N[:, corner].T * np.linalg.norm(_normals(surface, at, X), axis=2)
+        weight *= surface.arc(_points(surface, at, X))
+        self.weight = weight / np.bincount(self.i, weight.sum(axis=1), num)[self.i, None]
+        edge = on.any(axis=1)
+        self.share = np.bincount(self.i, self.weight.sum(axis=1) * edge[at], num)
+        """Of a mean, that of facets with an edge."""
+        x = np.einsum("qv,fvi->fqi", N, surface.x[facets[at]])
+        self.x = x - surface.x[facets[at, corner], None]
+        # Gradients of facets with an edge, and ways to active vertices
+        edge &= (number[facets] >= 0).any(axis=1)
+        self.edge, self.gradients = facets[edge], _gradients(surface, np.flatnonzero(edge))
+        at, corner = np.nonzero(number[self.edge] >= 0)
+        self.at, self.of = at, number[self.edge[at, corner]]
+        self.ways = surface.x[self.edge[at, corner], None] - surface.x[self.edge[at]]
+        self.inside = active[self.edge[at]]
+
+    def values(self, s: Floats) -> Floats:
+        """Find s at the vertices; arguments: s, ``(num_vertices,)``, for its slopes."""
+        num = len(self.w)
+        slope = np.zeros((num, self.state.surface.gdim))
+        np.add.at(slope, self.of, np.einsum("fv,fvi->fi", s[self.edge], self.gradients)[self.at])
+        slope /= np.bincount(self.of, minlength=num)[:, None]
+        k = np.maximum(lengths(slope), 1e-300)
+        out = -slope / k[:, None]
+        reach = np.where(self.inside, np.einsum("fvi,fi->fv", self.ways, out[self.of]), 0)
+        low, high = np.zeros((2, num))
+        np.maximum.at(high, self.of, reach.max(axis=1))
+        along = np.einsum("fqi,fi->fq", self.x, out[self.i])
+        root = self.state.gaps[self.w] / (4 / 3 * self.state.compliance * np.sqrt(k))
+        for _ in range(40):
+            middle = (low + high) / 2
+            d = np.maximum(middle[self.i, None] + along, 0)
+            nearer = np.bincount(self.i, (self.weight * d**1.5).sum(axis=1), num) > root
+            low, high = np.where(nearer, low, middle), np.where(nearer, middle, high)
+        return -k * low
+
+
+def bends(side: MovingSurface) -> bool:
+    """Whether displacements on facets aren't linear: these can't follow gaps like d^1.5."""
+    return side.at_facets.shape[1] > side.reference.gdim
+
+
+def compliance(side: MovingSurface, forces: Floats) -> float:
+    """1/E* of a half-space of a body's material in plane strain, 0 if there is none.
+
+    A uniform displacement gradient gives at each dof the traction that belongs to it, times the
+    integral of the dof's function. Most dofs have no neighbour that is prescribed.
+
+    Args:
+        side: The body's surface.
+        forces: At its dofs by e_b x_a, ``(num_dofs, n, b, a)``.
+    """
+    surface = side.rest
+    X, weights = basix.make_quadrature(surface.geometry.cell_type, 4)
+    every = np.arange(len(surface.facets))
+    area = _normals(surface, every, X) * weights[:, None]
+    area *= surface.arc(_points(surface, every, X))[..., None]
+    functions = surface.functions(X)[every % surface.num_parts]
+    normals, whole = np.zeros((2, len(side.dofs), surface.gdim))
+    np.add.at(normals, side.at_facets, np.einsum("fqd,fqi->fdi", functions, area))
+    np.add.at(whole, side.at_facets, np.einsum("fqd,fqi->fdi", np.abs(functions), area))
+    size = lengths(normals)
+    use = size > 0.1 * lengths(whole)  # vertices of triangles of degree 2 have none
+    n, forces = normals[use] / size[use, None], forces[use] / size[use, None, None, None]
+    along = np.einsum("jiba,ji,jb,ja->j", forces, n, n, n)  # λ + 2μ
+    across = (np.einsum("jiia,ja->j", forces, n) - along) / (surface.gdim - 1)
+    P, mu = np.median(along), np.median(across)
+    return float(P / (4 * mu * (P - mu))) if 0 < mu < P else 0.0
 
 
 def edges_by_gaps(state: ContactState) -> tuple[npt.NDArray[np.intp], Floats]:
@@ -548,6 +671,18 @@ def _tangents(surface: Surface, facets, X: Floats) -> Floats:
     """Derivatives of points by reference coordinates, ``(dim, num_facets, num_points, n)``."""
     table = surface.geometry.tabulate(1, X)[1:, :, :, 0]
     return np.einsum("kqm,fmi->kfqi", table, surface.nodes[facets])
+
+
+def _gradients(surface: Surface, facets: npt.NDArray[np.intp]) -> Floats:
+    """Slopes of facets' linear functions in their middles, ``(num_facets, num_corners, n)``."""
+    kind = surface.geometry.cell_type
+    middle = basix.geometry(kind).mean(axis=0)[None]
+    T = _tangents(surface, facets, middle)[:, :, 0]  # (dim, facet, n)
+    metric = np.einsum("kfi,lfi->fkl", T, T)
+    first = basix.create_element(basix.ElementFamily.P, kind, 1)
+    slopes = first.tabulate(1, middle)[1:, 0, :, 0]  # (dim, corner)
+    slopes = np.linalg.solve(metric, np.broadcast_to(slopes, (len(facets), *slopes.shape)))
+    return np.einsum("kfi,fkv->fvi", T, slopes)
 
 
 def slope_jumps(surface: Surface, facets: npt.NDArray[np.intp]) -> Sparse:

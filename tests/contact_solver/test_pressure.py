@@ -28,6 +28,7 @@ from hypergap_dolfinx.mortar.free_edges import (
     SurfacePressure,
     _near_free_edges,
     _normals,
+    _Opening,
     _parts,
     _RootFit,
     _solved,
@@ -357,6 +358,39 @@ def test_steps_are_sparse(monkeypatch, degree, apart):
     assert entries[0] <= 30 * free.sum() <= 0.2 * free.sum() ** 2
 
 
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize("kind", ("edges", "triangles", "quadrilaterals"))
+def test_opening_beyond_an_edge(kind, degree):
+    """Gaps that are means over hat functions of 4/3E* k^.5 d^1.5 give s = -k d at open vertices."""
+    side = top_of(kind, degree)
+    surface = side.reference
+    s = 0.69 - surface.x[:, 0] - (0.3 * surface.x[:, 1] if kind != "edges" else 0)
+    active, k = s > 0, 1.0 if kind == "edges" else np.hypot(1, 0.3)
+    X = simplices(surface.geometry.cell_type, 30).mean(axis=1)
+    N, (gaps, areas) = hats(surface, X), np.zeros((2, len(s)))
+    d = np.maximum(-s[surface.facets] @ N.T, 0) / k
+    size = np.linalg.norm(_normals(surface, np.arange(len(d)), X), axis=2)
+    np.add.at(gaps, surface.facets, (2.5 * 4 / 3 * np.sqrt(k) * d**1.5 * size) @ N)
+    np.add.at(areas, surface.facets, size @ N)
+    gaps, none = np.where(active, 0, gaps / areas), np.zeros((len(side.dofs), surface.gdim))
+    p = np.sqrt(np.maximum(s, 0))
+    state = ContactState(side, surface, p, active, s < 9, gaps, none, 2.5)
+    opening = _Opening(state, np.ones_like(active))
+    assert len(opening.w) and np.abs(opening.values(s) - s[opening.w]).max() <= 2e-3
+    # Forces that are off, and a vertex in contact without pressure: no law
+    near = _near_free_edges(state)[0]
+    noise = np.random.default_rng(0).uniform(0.9, 1.1, (len(none), 1))
+    forces = moments(side, s, near[surface.facets].any(axis=1)) * noise
+    known = replace(state, forces=forces)
+    alone, found = (SurfacePressure.of(replace(known, compliance=c)).s for c in (0, 2.5))
+    before, after = (np.abs(x - s)[opening.w].mean() for x in (alone, found))
+    assert after <= 0.7 * before
+    some = np.flatnonzero(active & near)[0]
+    forces[side.at_facets[(surface.facets == some).any(axis=1)]] = 0
+    alone, found = (SurfacePressure.of(replace(known, compliance=c)).s for c in (0, 2.5))
+    assert alone[some] <= 0 and (found == alone).all()
+
+
 @pytest.mark.parametrize("edge", (0.5, 0.55, 0.66, 0.7))
 def test_edge_by_gaps(edge):
     """Gaps that are means over hat functions of d^1.5 give the edge, between nodes as on them."""
@@ -387,6 +421,8 @@ def test_hertz(degree, bound):
         p = contact.pressure(problem, on="surface")
         assert p.x.array.min(initial=0) >= 0
         assert abs(2 * integral(p) / hertz.P[2] - 1) <= 0.006
+        compliance = problem.compliance(problem.rows(contact))
+        assert abs(compliance * hertz.E_star - (degree > 1)) <= 1e-9
         edge = ufl.conditional(ufl.gt(p, 1e-9), 1, 0)
         assert abs(integral(edge) / hertz.a - 1) <= 0.06
         problem.destroy()
