@@ -610,7 +610,7 @@ class Contact(Settable):
         gaps = rows.spread(rows.distance)
         state = self._state_of(rows, now.p * now.active, now.active, exists, gaps)
         hard = self._compliance is None
-        return replace(state, compliance=problem.compliance(rows) if hard else 0.0)
+        return replace(state, compliance=problem.half_space_compliance(rows) if hard else 0.0)
 
     def _state_of(self, rows: ContactRows, p, active, exists, gaps) -> ContactState:
         """State at vertices; arguments: pressures of multipliers, and those that are active."""

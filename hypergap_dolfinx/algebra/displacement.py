@@ -60,6 +60,8 @@ class DisplacementField:
     def of_slopes(self, K: PETSc.Mat, side: MovingSurface) -> npt.NDArray[np.float64]:
         """Forces at a surface's dofs by displacements that are linear in space. Collective.
 
+        Each dof is where they are zero: masses and springs in K hardly count.
+
         Args:
             K: The body's stiffness.
             side: The surface.
@@ -69,19 +71,20 @@ class DisplacementField:
         """
         n, map_ = side.reference.gdim, self.part.space.dofmap.index_map
         x = self.part.space.tabulate_dof_coordinates()[: map_.size_local, :n]
-        x = x - side.reference.x.mean(axis=0)
+        powers = np.column_stack((x, np.ones(len(x))))
         dofs = side.dofs - map_.local_range[0]
         own = (dofs >= 0) & (dofs < len(x))
-        found, (u, forces) = np.zeros((len(dofs), n, n, n)), K.createVecs()
-        for b, a in np.ndindex(n, n):
+        dofs, found = dofs[own], np.zeros((len(dofs), n, n, n))
+        forces, (u, f) = np.empty((len(dofs), n, n, n + 1)), K.createVecs()
+        for b, a in np.ndindex(n, n + 1):
             given = np.zeros_like(x)
-            given[:, b] = x[:, a]
+            given[:, b] = powers[:, a]
             u.array[:] = self.part.into_body(given.ravel())
-            K.mult(u, forces)
-            every = self.part.of_body(forces.array_r).real.reshape(-1, n)
-            found[own, :, b, a] = every[dofs[own]]
-        for vector in (u, forces):
+            K.mult(u, f)
+            forces[..., b, a] = self.part.of_body(f.array_r).real.reshape(-1, n)[dofs]
+        for vector in (u, f):
             vector.destroy()
+        found[own] = forces[..., :n] - forces[..., n:] * x[dofs, None, None]
         return self.part.space.mesh.comm.allreduce(found)
 
     def lengths(self, K: PETSc.Mat) -> npt.NDArray[np.float64]:

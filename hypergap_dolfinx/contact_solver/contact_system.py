@@ -978,8 +978,11 @@ class ContactSystem(NonlinearSystem):
         found = np.reshape([of.reshape(-1, self._dim).sum(axis=0) for of in held], (-1, self._dim))
         return [(int(i), int(a)) for i, a in np.argwhere(self._comm.allreduce(found) == 0)]
 
-    def compliance(self, rows: ContactRows) -> float:
-        """1/E* of half-spaces of a contact's bodies, 0 if it isn't known. Collective."""
+    def half_space_compliance(self, rows: ContactRows) -> float:
+        """1/E* of half-spaces of a contact's bodies, 0 if it isn't known. Collective.
+
+        Drawn pressures have it: it is no compliance of the contact.
+        """
         found = 0.0
         for i, side in zip(rows.bodies, rows.sides, strict=True):
             if i is None or i >= self._num_elastic:
