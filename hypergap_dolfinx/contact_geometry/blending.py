@@ -181,7 +181,7 @@ class Blended:
         """A matrix by vertices from its diagonal and from values of pairs."""
         every = np.arange(self.num)
         i, j = self.pairs if pairs is None else pairs
-        return Sparse(*map(np.append, (every, every, own), (i, j, beside)))
+        return Sparse(*map(np.concatenate, ((every, i), (every, j), (own, beside))))
 
     @cached_property
     def L(self) -> Sparse:

@@ -48,15 +48,9 @@ class PlaneSegments(Segments):
     """True if both sides are one surface, which meets itself."""
 
     @cached_property
-    def _in_c(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _in_c(self) -> Any:
         """Both sides for C, without their positions."""
-        below, above = self.sides
-        return rays.side_of(below, 0), rays.side_of(above, len(below.dofs))
-
-    @cached_property
-    def _own(self) -> dict[str, Any] | None:
-        """The order in which one surface meets itself."""
-        return rays.own_of(self.sides[0].reference) if self.itself else None
+        return rays.sigma_of(self.sides, self.itself)
 
     @cached_property
     def _walls(self) -> list[_Wall]:
@@ -92,7 +86,7 @@ class PlaneSegments(Segments):
         surfaces = displaced(self.sides, u)
         walls = [] if self.itself else self._walls
         goes_on = [wall.end for wall in walls if wall.is_between(surfaces)]
-        found = rays.cast(self._in_c, surfaces, goes_on, self._own)
+        found = rays.cast(self._in_c, surfaces, goes_on)
         if not len(found.points):
             raise self._faces_nothing(u)
         return found

@@ -53,7 +53,7 @@ class Segments(ABC):
     follow those of Γ0, with all components of a dof together. Slips are counted from displacements
     u_since. They have n − 1 components: first the first one of all vertices, then the second one.
 
-    The only state is a cache of the results at the last displacements.
+    The only state is a cache of the results at the last two displacements: steps come back.
     """
 
     sides: Sides
@@ -64,7 +64,7 @@ class Segments(ABC):
     """Number of vertices of Γ1, in reach of Γ0 or not."""
     num_dofs: int = field(init=False)
     """Number of dofs of both sides."""
-    _last: tuple[Displacements, Blended] | None = field(default=None, init=False, repr=False)
+    _last: list[tuple[Displacements, Blended]] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self):
         """Count."""
@@ -104,12 +104,14 @@ class Segments(ABC):
         return segments
 
     def _at(self, u: Displacements) -> Blended:
-        """Gaps where the bodies are, the last ones if they haven't moved."""
-        last = self._last
-        if last is None or any(not np.array_equal(*pair) for pair in zip(u, last[0], strict=True)):
-            u = u[0].copy(), u[1].copy()
-            last = self._last = u, Blended(self._find(u), self.beside, self.num_multipliers)
-        return last[1]
+        """Gaps where the bodies are, known ones if they were there before."""
+        for place, known in self._last:
+            if all(map(np.array_equal, u, place)):
+                return known
+        u = u[0].copy(), u[1].copy()
+        found = Blended(self._find(u), self.beside, self.num_multipliers)
+        self._last = [(u, found), *self._last[:1]]
+        return found
 
     @abstractmethod
     def _find(self, u: Displacements) -> Any:

@@ -81,10 +81,10 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
     SHARED,
     SLACK,
 )
-from hypergap_dolfinx.core.compiled import call, doubles, dtype, ints, library, struct
+from hypergap_dolfinx.core.compiled import call, changed, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import check_chains
-from hypergap_dolfinx.surface.moving import MovingSurface, Sparse
+from hypergap_dolfinx.surface.moving import MovingSurface, Sides, Sparse
 from hypergap_dolfinx.surface.trace import Surface, lengths
 
 points_an_edge = 4  # room at first; with more they are found anew
@@ -287,48 +287,42 @@ def _rules(num_nodes: int) -> dict[str, Any]:
     return {"ends_of_rules": ends, "rule_at": doubles(points), "rule_weights": doubles(weights)}
 
 
-def _placed(
-    sides: Sequence[dict[str, Any]],
-    surfaces: tuple[Surface, Surface],
-    goes_on: Sequence[tuple[int, int]],
-    own: dict[str, Any] | None,
-) -> dict[str, Any]:
-    """Fields of ``Sigma`` that are given."""
-    on = np.zeros((sides[0]["num_edges"], 2), np.int32)
-    for edge, end in goes_on:
-        on[edge, end] = True
-    placed = [
-        {**side, "nodes": doubles(surface.nodes)}
-        for side, surface in zip(sides, surfaces, strict=True)
-    ]
-    rules = _rules(max(min(s["num_nodes"], max(s["num_dofs"], 3)) for s in sides))
+def sigma_of(sides: Sides, itself: bool = False) -> Any:
+    """Struct ``Sigma`` without positions, and without room for rays.
+
+    Args:
+        sides: Γ0 and Γ1.
+        itself: True if both are one surface.
+    """
+    below, above = sides
+    in_c = [side_of(below, 0), side_of(above, len(below.dofs))]
+    rules = _rules(max(min(s["num_nodes"], max(s["num_dofs"], 3)) for s in in_c))
+    own = own_of(below.reference) if itself else {"turn": None, "own": None, "depths": None}
     shared = [0.5 - SHARED / 2, 0.5 + SHARED / 2]
-    given = {"sides": placed, "goes_on": on, "shared": shared, **rules}
-    given["angle"] = surfaces[1].angle
-    given |= own or {"turn": None, "own": None, "depths": None}
-    return {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK, **given}
+    factors = {"cosines": list(COSINES), "nearest": list(NEAREST), "slack": SLACK}
+    given = {"sides": in_c, "shared": shared, "angle": above.reference.angle}
+    return struct("Sigma", **factors, **given, **rules, **own)
 
 
 def cast(
-    sides: Sequence[dict[str, Any]],
-    surfaces: tuple[Surface, Surface],
-    goes_on: Sequence[tuple[int, int]] = (),
-    own: dict[str, Any] | None = None,
+    unplaced: Any, surfaces: tuple[Surface, Surface], goes_on: Sequence[tuple[int, int]] = ()
 ) -> PlaneRays:
     """Find the rays between two surfaces where they are.
 
     Args:
-        sides: Γ0 and Γ1, from :func:`side_of`.
-        surfaces: The same where they are.
+        unplaced: From :func:`sigma_of`.
+        surfaces: Both where they are.
         goes_on: Edges and ends (0 or 1) of Γ0 beyond which it goes on, as mirrored at a wall.
-        own: From :func:`own_of` if both sides are one surface.
     """
     room = points_an_edge * sum(len(surface.facets) for surface in surfaces)
-    fields = _placed(sides, surfaces, goes_on, own)
+    on = np.zeros((len(surfaces[0].facets), 2), np.int32)
+    for edge, end in goes_on:
+        on[edge, end] = True
+    fields = {"sides": [{"nodes": doubles(s.nodes)} for s in surfaces], "goes_on": on}
     while True:
         points, sheets = np.empty(room, dtype("Point")), np.empty(room, dtype("Sheet"))
         given = {"points": points, "sheets": sheets, "max_points": room, "max_sheets": room}
-        sigma = struct("Sigma", **fields, **given)
+        sigma = changed(unplaced, "Sigma", **fields, **given)
         check(call("cast_rays", sigma), library("plane").lib.MOST_SHEETS)
         most = max(sigma.num_points, sigma.num_sheets)
         if most <= room:

@@ -168,7 +168,7 @@ class ContactSystem(NonlinearSystem):
         self._softest, self._stiffness_of = 0.0, list[int | None]()
         self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
         self._poking = [np.empty((0, self._dim)) for _ in pairs]  # corners, when last looked at
-        self._recorded = [rows.state.active.copy() for rows in self._rows]  # what was in contact
+        self._recorded = [rows.state.active for rows in self._rows]  # what was in contact
 
     def _derivative(self, F: ufl.Form, u: fem.Function) -> ufl.Form:
         for body in self._rigid:
@@ -223,7 +223,7 @@ class ContactSystem(NonlinearSystem):
             body.read()
         return super()._lifted()
 
-    @property
+    @cached_property
     def _dim(self) -> int:
         return self._u[0].function_space.mesh.topology.dim
 
@@ -463,14 +463,14 @@ class ContactSystem(NonlinearSystem):
         """Record a Newton step."""
         now, last = [rows.state.active for rows in self._rows], self._recorded
         came, went = (
-            sum(int((a & ~b).sum()) for a, b in zip(*pair, strict=True))
+            sum(int(np.count_nonzero(a > b)) for a, b in zip(*pair, strict=True))
             for pair in ((now, last), (last, now))
         )
         gap = max(rows.largest_gap for rows in self._rows)
         residual = self._unbalanced / (self._in_bodies or 1)
         found = {"gap": gap, "came": came, "went": went, "step": step}
         self._records.note(residual, self._tangent.iterations, **found)
-        self._recorded = [part.copy() for part in now]
+        self._recorded = now
 
     def _is_finite(self) -> bool:
         """True if the residual is one of numbers. Collective."""

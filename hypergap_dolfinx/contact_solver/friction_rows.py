@@ -172,7 +172,7 @@ class FrictionRows(ContactRows):
             lost = lost + before - self._elastic
         self.dissipated -= float((now.q * self.rubs * self._sizes * lost).sum())
         self.slipped += np.einsum("ka,kai->ai", self.slip * self.rubs, self.tangents)
-        now.sticks |= ~self.rubs
+        now.sticks = now.sticks | ~self.rubs
 
     @property
     def _reach(self) -> npt.NDArray[np.float64]:
@@ -277,14 +277,14 @@ class FrictionRows(ContactRows):
         last = self.rubs
         super().start_set(stiffness, zero, touches=touches)
         now = self.state
-        now.sticks |= ~last
+        now.sticks = now.sticks | ~last
         now.q = np.where(self.rubs, now.q, 0)
         if self._soft or self._n > 2:
             every = np.arange(len(self.g))
             *_, sticks, way = self._states(self._now, self._forces, every)
             now.sticks = sticks if self._soft else now.sticks
             now.way = np.where(self.rubs & ~now.sticks, way, now.way)
-        now.sticks &= self.mu > 0
+        now.sticks = now.sticks & (self.mu > 0)
 
     @property
     def _slopes(self) -> Sparse:
@@ -434,7 +434,7 @@ class FrictionRows(ContactRows):
         super().guess(y, f, changed)
         y, f = (v.reshape(-1, num) for v in (y, f))
         now.way = self._states(y, f, np.arange(num))[3]
-        now.sticks |= sticks
+        now.sticks = now.sticks | sticks
 
     def _goes_along(self, y) -> npt.NDArray[np.bool_]:
         """Mask of multipliers that slip along their tractions, ``(num_multipliers,)``.

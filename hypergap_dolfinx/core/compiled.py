@@ -81,6 +81,20 @@ def struct(name: str, **fields) -> Any:
     return library(_owner(name)).new(f"{name} *", name, fields)
 
 
+def changed(made: Any, name: str, **fields) -> Any:
+    """A copy of a struct, a pointer to it, with other values of some fields; others stay shared.
+
+    Args:
+        made: From :func:`struct`.
+        name: Name of its type.
+        fields: As for :func:`struct`, of structs in it only what changes.
+
+    Raises:
+        TypeError: A field doesn't match the header.
+    """
+    return library(_owner(name)).changed(made, name, fields)
+
+
 def structs(name: str, each: Iterable[dict[str, Any]]) -> Any:
     """Array of structs. Arrays that they point to live as long as it does."""
     return library(_owner(name)).new(f"{name}[]", name, list(each))
@@ -151,6 +165,23 @@ class Library:
         _kept[made] = kept
         return made
 
+    def changed(self, made, name: str, value: dict[str, Any]) -> Any:
+        """A copy of a struct with other values of some fields."""
+        copy = self.ffi.new(f"{name} *", made[0])
+        _kept[copy] = kept = [made]
+        self._set(copy, name, value, kept)
+        return copy
+
+    def _set(self, made, name: str, fields: dict[str, Any], kept: list):
+        """Set fields of a struct, and of structs in it."""
+        for key, value in fields.items():
+            slot = self._slots_of(name)[key]
+            if slot.kind == "array" and slot.ctype.item.kind == "struct":
+                for part, each in zip(getattr(made, key), value, strict=True):
+                    self._set(part, slot.ctype.item.cname, each, kept)
+            else:
+                setattr(made, key, self._given(slot, value, kept))
+
     def dtype(self, cname: str) -> np.dtype | None:
         """NumPy's dtype of a type; None of pointers, and of structs with pointers."""
         if cname in DTYPES:
@@ -207,11 +238,16 @@ class Library:
 
     def _fields(self, name: str, fields: dict[str, Any], kept: list) -> dict[str, Any]:
         """Fields of a struct for cffi."""
+        slots = self._slots_of(name)
+        return {key: self._given(slots[key], value, kept) for key, value in fields.items()}
+
+    def _slots_of(self, name: str) -> dict[str, _Slot]:
+        """The fields of a struct."""
         slots = self._slots.get(name)
         if slots is None:
             members = self.ffi.typeof(name).fields
             slots = self._find_slots(name, [field.type for _, field in members])
-        return {key: self._given(slots[key], value, kept) for key, value in fields.items()}
+        return slots
 
     def _find_slots(self, name: str, ctypes) -> dict[str, _Slot]:
         """The parameters of a function or the fields of a struct, by their names in the header."""

@@ -219,14 +219,16 @@ def _walls(corners, x, ways, vertices=None, near=None) -> npt.NDArray[np.float64
             which a point is never count.
     """
     p, s = meeting(_boxes(np.stack((x, x + ways))[:, :, None]), _boxes(corners[None])).T
+    found = np.full(len(x), np.inf)
     n = normals_by_area(corners[s])
     along, high = (np.einsum("pi,pi->p", a, n) for a in (ways[p], corners[s, 0] - x[p]))
     on = (along > 0) & (high > np.finfo(float).eps ** 0.5 * along) & (high <= along)
     if near is not None:
         on &= (vertices[s][:, :, None] != near[p][:, None]).all(axis=(1, 2))
+    if not on.any():
+        return found
     p, s, share = p[on], s[on], high[on] / along[on]
     hit = _are_inside(x[p] + share[:, None] * ways[p], corners[s])
-    found = np.full(len(x), np.inf)
     np.minimum.at(found, p[hit], share[hit])
     return found
 

@@ -84,6 +84,21 @@ def test_structs_keep_arrays():
     assert not any(other["edge"].any() for other in others)
 
 
+def test_copy_of_struct():
+    """A copy has its own values where they are changed, also in structs in it, and keeps others."""
+    nodes = [np.full((2, 2), 3.0 + k) for k in range(2)]
+    first = struct("Sigma", sides=[{"num_edges": 5}, {"num_edges": 6}], rule_at=np.full(1000, 5.0))
+    second = compiled.changed(first, "Sigma", sides=[{"nodes": x} for x in nodes], slack=2.0)
+    assert first.slack == 0 and not first.sides[0].nodes
+    del first, nodes
+    others = [np.zeros(1000) for _ in range(10)]
+    assert second.slack == 2 and [side.num_edges for side in second.sides] == [5, 6]
+    assert [side.nodes[3] for side in second.sides] == [3, 4] and second.rule_at[999] == 5
+    assert not any(other.any() for other in others)
+    with raises(TypeError, "Side's nodes is of int64; it must be of float64"):
+        compiled.changed(second, "Sigma", sides=[{"nodes": np.zeros((1, 2), np.int64)}] * 2)
+
+
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_file_alone(file):
     """Each file compiles without another one, without a warning."""
