@@ -133,11 +133,10 @@ def turned_over(u: fem.Function) -> npt.NDArray[np.float64]:
     element, start = lagrange_element(V)[0], V.tabulate_dof_coordinates()[:, :n]
     points = element.points if element.dim > n + 1 else element.points[:1]  # det J is constant
     given = element, V.dofmap.list[:num], points, points[:0]
-    both = (_determinants(x, *given) for x in (start, start + u.x.array.reshape(-1, n)))
-    found = [start[:0]]
-    for (x, before, _), (_, after, _) in zip(*both, strict=True):
+    found, both = [start[:0]], np.stack((start, start + u.x.array.reshape(-1, n)))
+    for x, (before, after), _ in _determinants(both, *given):
         over = (np.sign(before) * after < 0).any(axis=1)
-        found.append(x[over].mean(axis=1))
+        found.append(x[0, over].mean(axis=1))
     return np.concatenate(found)
 
 
@@ -171,7 +170,8 @@ def _determinants(x, element, cells, inside, boundary):
     """Yield a chunk's nodes (cell, node, n), det J (cell, point) and the number of points inside.
 
     Args:
-        x: Geometry nodes, ``(num_nodes, n)``.
+        x: Geometry nodes, ``(num_nodes, n)``; with more axes before these, what is yielded has
+            them, too.
         element: Basix element of the geometry.
         cells: Nodes of each cell.
         inside: Reference points, ``(num_inside, n)``.
@@ -179,8 +179,8 @@ def _determinants(x, element, cells, inside, boundary):
     """
     dpsi = element.tabulate(1, np.vstack((inside, boundary)))[1:, :, :, 0]  # (axis, point, node)
     for start in range(0, len(cells), _chunk):
-        nodes = x[cells[start : start + _chunk]]
-        J = np.einsum("cmi,jpm->cpij", nodes, dpsi, optimize=True)
+        nodes = x[..., cells[start : start + _chunk], :]
+        J = np.moveaxis(np.tensordot(nodes, dpsi, (-2, 2)), -1, -3)
         with np.errstate(invalid="ignore"):  # NaN in coordinates are left to other checks
             det = _det(J)
         yield nodes, det, len(inside)

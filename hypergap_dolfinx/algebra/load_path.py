@@ -83,6 +83,7 @@ class LoadPath:
         self.values = [value for _, value in values]
         """Objects in which the user changes values."""
         self._arrays = [array_of(value) for value in self.values]
+        self._owned = [_num_owned(value, comm) for value in self.values]
         self.start = [np.array(a) for a in self._arrays]
         """Values at the end of the last load step."""
         self._end = self.start
@@ -108,8 +109,8 @@ class LoadPath:
             end: Where it ends.
         """
         return [
-            (end - start) * (b - a)[: _num_owned(value, self._comm)]
-            for value, a, b in zip(self.values, map(np.ravel, self.start), map(np.ravel, self._end))
+            (end - start) * (b.ravel() - a.ravel())[:num]
+            for num, a, b in zip(self._owned, self.start, self._end, strict=True)
         ]
 
     def copies(self) -> list[npt.NDArray]:

@@ -102,8 +102,9 @@ class PlaneSegments(Segments):
         on = apart > least[vertices]
         x, vertices = x[on], vertices[on]
         np.fmax.at(far, vertices, apart[on])
-        for k in range(4):  # two corners of a column on Γ1, two on Γ0
-            np.fmax.at(deep, vertices, gaps.rays.depths(k // 2, x[:, k]))
+        for side, corners in enumerate((x[:, :2], x[:, 2:])):  # of a column, on Γ1 and on Γ0
+            depths = gaps.rays.depths(side, corners.reshape(-1, 2)).reshape(-1, 2)
+            np.fmax.at(deep, vertices, np.fmax(*depths.T))
         return found
 
     @override

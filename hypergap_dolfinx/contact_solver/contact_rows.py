@@ -396,12 +396,7 @@ class ContactRows:
 
     def least(self) -> npt.NDArray[np.float64]:
         """Sizes treated as zero, of multipliers in the working set or of gaps outside."""
-        return np.where(self.state.active, *self._least())
-
-    def _least(self) -> tuple[npt.NDArray[np.float64], float]:
-        """Sizes treated as zero, of multipliers and of gaps."""
-        force = np.maximum(self._zero * self.m / self._stiffness, ROUND_OFF_FORCES * self._size)
-        return self._root * force, self._root * EXACT * self._size
+        return np.where(self.state.active, *self._least)
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
         """Mask of multipliers whose state differs from the working set, ``(num_unknowns,)``.
@@ -427,7 +422,7 @@ class ContactRows:
             have rows; and the sizes treated as zero, ``(n, num)``.
         """
         closed = f[0] > y[0] if states is None else states[0]
-        force, length = self._least()
+        force, length = self._least
         return (
             np.where(closed, y[0], f[0])[None],
             closed[None, None].astype(float),
@@ -513,6 +508,8 @@ class ContactRows:
         """
         self._stiffness, self._root, self._zero = stiffness, float(np.sqrt(stiffness)), zero
         self._diagonal, self._bends, self._guess = self._diagonal or stiffness, None, None
+        force = np.maximum(zero * self.m / stiffness, ROUND_OFF_FORCES * self._size)
+        self._least = self._root * force, self._root * EXACT * self._size  # multipliers and gaps
         now = self.state
         if touches:
             self._last = now.active

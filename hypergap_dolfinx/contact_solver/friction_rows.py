@@ -113,6 +113,9 @@ class FrictionRows(ContactRows):
             self._bears = self._condensed(self._condensed(bears).T).T
             beside = self._bears.some(self._bears.i != self._bears.j)
             self._shares = np.bincount(beside.i, minlength=len(self.g)) > 0
+        # Areas on which friction acts, without neighbours', and these over the rows' own
+        self._own_areas = np.where(self.valid, self._sizes, 0)
+        self._own_share = self._own_areas / np.where(self.valid, self.m, 1)
         moves = self.u[0] - self._since[0], self.u[1] - self._since[1]
         self.s = self.T.times(moves, (self._n - 1) * len(self.g)).reshape(-1, len(self.g))
         self._lengths, self._all_slopes = np.concatenate((self.g, self.s.ravel(), 0 * self.g)), None
@@ -122,11 +125,6 @@ class FrictionRows(ContactRows):
     def num_lengths(self) -> int:
         """Number of gaps, slips, and normal forces that bound friction."""
         return self.num_unknowns + len(self.g)
-
-    @property
-    def _own_areas(self) -> npt.NDArray[np.float64]:
-        """Areas on which friction acts, without neighbours', ``(num_multipliers,)``."""
-        return np.where(self.valid, self._sizes, 0)
 
     @property
     def _areas(self) -> npt.NDArray[np.float64]:
@@ -346,17 +344,16 @@ class FrictionRows(ContactRows):
             return closed, rubs, size <= root * self._soft, way
         trial = f[1:] - y[1:-1]
         size = lengths(trial.T)
-        share = (self._own_areas / np.where(self.valid, self.m, 1))[at]
-        bound, _ = self._scaled_bounds(y[-1] - share * np.minimum(y[0], 0), at)
-        least, _ = self._least()
+        bound, _ = self._scaled_bounds(y[-1] - self._own_share[at] * np.minimum(y[0], 0), at)
+        least, _ = self._least
         none = np.maximum(EXCEEDS * bound, least[at])
         sticks = (size <= bound + np.where(self.state.sticks[at], none, -none)) & (self.mu[at] > 0)
         return closed, rubs, sticks, trial / np.where(size > 0, size, 1)
 
     def _scaled_bounds(self, p, at):
         """The same in the units of :meth:`law`."""
-        sizes = self._own_areas
-        return self._bounds(p, at, np.where(sizes > 0, sizes, 1)[at] / self._root)
+        sizes = self._own_areas[at]
+        return self._bounds(p, at, np.where(sizes > 0, sizes, 1) / self._root)
 
     def _first_order(self, y, f):
         """Errors of the laws in the states of the working set, their derivatives by y and f.
@@ -389,7 +386,7 @@ class FrictionRows(ContactRows):
         by_y, by_f = np.zeros((n, n + 1, num)), np.zeros((n, n, num))
         closed, rubs, sticks, way = self._states(y, f, at) if states is None else states
         error[:1], by_y[:1, :1], by_f[:1, :1], least[:1] = super().law(y, f, at, (closed,))
-        force, length = self._least()
+        force, length = self._least
         one = np.eye(n - 1)[..., None]
         bound, slope = self._scaled_bounds(y[-1], at)
         none = np.maximum(EXCEEDS * bound, force[at])

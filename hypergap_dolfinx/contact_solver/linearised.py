@@ -274,10 +274,9 @@ class LinearisedContact:
         With a large one there is one solution, multipliers of zero. Gaps have the round-off of the
         compliance times A. A step of the path that fails is halved.
         """
-        own, forces = slice(len(of)), [more.ravel() for *_, more in self._vertices(of)]
-        watched = np.concatenate((self._own[of], *forces))
+        own, (watched, vertices) = slice(len(of)), self._vertices(of)
         y0, f0, A, B = y0[watched], f0[of], A[of], B[watched]
-        found, give = self._newton(y0, f0, A, B, of, z), float(np.abs(B[own]).max())
+        found, give = self._newton(y0, f0, A, B, vertices, z), float(np.abs(B[own]).max())
         if found is not None:
             return found, True
         z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=PIVOT)[0], -1.0, 1.0, 0
@@ -287,7 +286,7 @@ class LinearisedContact:
             soft, by_z = y0.copy(), B.copy()
             soft[own] += share * f0
             by_z[own] += share * A
-            found = self._newton(soft, f0, A, by_z, of, z, zero)
+            found = self._newton(soft, f0, A, by_z, vertices, z, zero)
             if found is None:
                 step, failures = step / 2, failures + 1
                 power -= step
@@ -297,24 +296,24 @@ class LinearisedContact:
                 return found, True
         return np.zeros(len(of)), False
 
-    def _newton(self, y0, f0, A, B, of, z, zero=1.0) -> Array | None:
+    def _newton(self, y0, f0, A, B, vertices, z, zero=1.0) -> Array | None:
         """Newton's method with a line search, and with full steps if that finds no descent.
 
         Errors of gaps and of forces have no common scale. In a stiff row a smaller error of the gap
         may need a larger error of the force, and a line search finds no descent. ``zero`` is a
         factor of what is treated as zero.
         """
-        found = self._descended(y0, f0, A, B, of, z, zero, TRIALS)
-        return self._descended(y0, f0, A, B, of, z, zero, 0) if found is None else found
+        found = self._descended(y0, f0, A, B, vertices, z, zero, TRIALS)
+        return self._descended(y0, f0, A, B, vertices, z, zero, 0) if found is None else found
 
-    def _descended(self, y0, f0, A, B, of, z, zero: float, trials: int) -> Array | None:
+    def _descended(self, y0, f0, A, B, vertices, z, zero: float, trials: int) -> Array | None:
         """Newton's method with so many trials of a shorter step; all steps are full for none.
 
         Where states make the equations singular, a step goes far, to other states. But it is no
         solution: this is the least one, if there is any in these states. Without a line search the
         way ends there: any states could follow.
         """
-        laws = self._laws(y0 + B @ z, f0 + A @ z, of, zero)
+        laws = self._laws(y0 + B @ z, f0 + A @ z, vertices, zero)
         for _ in range(STEPS):
             if laws.are_satisfied:
                 return z
@@ -322,14 +321,14 @@ class LinearisedContact:
             way, is_regular = complementarity.solution(slope, -laws.error)
             if not is_regular:
                 near = z + np.linalg.lstsq(slope, -laws.error, rcond=PIVOT)[0]
-                if self._laws(y0 + B @ near, f0 + A @ near, of, zero).are_satisfied:
+                if self._laws(y0 + B @ near, f0 + A @ near, vertices, zero).are_satisfied:
                     return near
                 if not trials:
                     return None
             size, share, start = np.linalg.norm(laws.error), 1.0, z
             for _ in range(max(trials, 1)):
                 z = start + share * way
-                laws = self._laws(y0 + B @ z, f0 + A @ z, of, zero)
+                laws = self._laws(y0 + B @ z, f0 + A @ z, vertices, zero)
                 if not trials or np.linalg.norm(laws.error) < size:
                     break
                 share /= 2
@@ -340,13 +339,14 @@ class LinearisedContact:
         return None
 
     def _vertices(self, of):
-        """Contacts with unknowns among these.
+        """Numbers of the gaps that the laws of these unknowns take, and the contacts with any.
 
-        Yields:
-            Each contact, numbers of its vertices, places of their unknowns in ``of``, and numbers
-            of the normal forces that bound friction there, if it has any.
+        Returns:
+            The numbers of these unknowns' gaps and slips, then of the normal forces that bound
+            friction there; each contact, numbers of its vertices, and places of their unknowns in
+            ``of`` and of what they take among these numbers.
         """
-        place = np.full(self._on.shape, -1)
+        place, found, numbers, end = np.full(self._on.shape, -1), [], [self._own[of]], len(of)
         place[of] = np.arange(len(of))
         each = zip(self._rows, self._split(place, self._ends), self._starts, strict=False)
         for part, places, start in each:
@@ -354,14 +354,23 @@ class LinearisedContact:
             at = np.flatnonzero(places[0] >= 0)
             more = start + np.arange(part.num_unknowns, part.num_lengths).reshape(-1, len(part.g))
             if len(at):
-                yield part, at, places[:, at], more[:, at]
+                rows, more = places[:, at], more[:, at]
+                forces = np.arange(end, end := end + more.size).reshape(more.shape)
+                numbers.append(more.ravel())
+                found.append((part, at, rows, np.vstack((rows, forces))))
+        return np.concatenate(numbers), found
 
-    def _laws(self, y, f, of, zero=1.0) -> "_Laws":
-        """Laws of some unknowns at their gaps, slips and normal forces, and multipliers."""
-        found, end = _Laws(np.zeros(len(of)), True, []), len(of)
-        for part, at, rows, more in self._vertices(of):
-            forces = np.arange(end, end + more.size).reshape(more.shape)
-            known, end = np.vstack((rows, forces)), end + more.size
+    def _laws(self, y, f, vertices, zero=1.0) -> "_Laws":
+        """Laws of some unknowns at their gaps, slips and normal forces, and multipliers.
+
+        Args:
+            y: Gaps, slips and normal forces, as :meth:`_vertices` numbers them.
+            f: Multipliers.
+            vertices: The contacts, likewise.
+            zero: As of :meth:`_newton`.
+        """
+        found = _Laws(np.zeros(len(f)), True, [])
+        for part, at, rows, known in vertices:
             error, by_y, by_f, least = part.law(y[known], f[rows], at)
             found.error[rows] = error
             found.are_satisfied &= bool((np.abs(error) <= zero * least).all())

@@ -148,10 +148,10 @@ class _Retained:
         """True if there are factors of nearly, but not exactly, these entries. Collective."""
         if self._factorised is None:
             return False
-        sums = np.zeros(2)
-        for part, before in zip(values, self._factorised, strict=True):
-            change = 0.0 if part is before else np.linalg.norm(part - before)
-            sums += change**2, np.linalg.norm(before) ** 2
+        pairs = list(zip(values, self._factorised, strict=True))
+        changes = [part - before for part, before in pairs if part is not before]
+        squares = [[np.vdot(a, a).real for a in of] for of in (changes, self._factorised)]
+        sums = np.array(list(map(sum, squares)), dtype=float)
         self.A.comm.tompi4py().Allreduce(MPI.IN_PLACE, sums)
         return bool(0 < sums[0] <= REUSED**2 * sums[1])
 
