@@ -33,10 +33,9 @@ def places(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 def moment(arms: npt.NDArray, forces: npt.NDArray) -> npt.NDArray:
     """Moment of forces ``(num, n)``: ``(3,)``, or ``(1,)`` in the plane."""
-    n = arms.shape[1]
-    arms, forces = (np.pad(part, ((0, 0), (0, 3 - n))) for part in (arms, forces))
-    found = np.cross(arms, forces).sum(axis=0)
-    return found if n == 3 else found[2:]
+    if arms.shape[1] == 2:
+        return (arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]).sum(keepdims=True)
+    return np.cross(arms, forces).sum(axis=0)
 
 
 def motions(

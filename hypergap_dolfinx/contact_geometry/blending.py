@@ -134,7 +134,12 @@ class Blended:
 
     def slips(self, target: npt.NDArray[np.intp]) -> Sparse:
         """T with s = T Δu, along the directions of vertices' targets, ``(num,)``."""
-        return self._along(self.rays.slips(np.ones(self.num, dtype=bool)), target)
+        return self._along(self._every_slip, target)
+
+    @cached_property
+    def _every_slip(self) -> Sparse:
+        """Slips of all vertices, as vectors, by Δu."""
+        return self.rays.slips(np.ones(self.num, dtype=bool))
 
     def slip_slopes(self, target, moved: Floats, on: npt.NDArray[np.bool_]) -> Sparse:
         """∂s/∂u if Δu moves with u.

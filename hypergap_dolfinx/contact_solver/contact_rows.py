@@ -378,8 +378,7 @@ class ContactRows:
         """The derivatives times values at both sides' dofs, ``(num_lengths,)``."""
         return self._slopes.times(values, self.num_lengths)
 
-    @property
-    def _areas(self) -> npt.NDArray[np.float64]:
+    def _found_areas(self) -> npt.NDArray[np.float64]:
         """Areas of rows, 0 without one, ``(num_lengths / num_multipliers, num_multipliers)``."""
         return np.where(self.valid, self.m, 0)[None]
 
@@ -389,7 +388,7 @@ class ContactRows:
         return np.divide(values, self.m, out=result, where=self.valid)
 
     def _scaled(self, values: npt.NDArray) -> npt.NDArray[np.float64]:
-        """Weighted lengths as lengths times √stiffness, of the shape of :attr:`_areas`."""
+        """Weighted lengths as lengths times √stiffness, of the shape of the areas."""
         areas = self._areas
         values = values.reshape(areas.shape)
         return self._root * np.divide(values, areas, out=0 * values, where=areas > 0)
@@ -463,13 +462,9 @@ class ContactRows:
         """
         return Sparse.empty()
 
-    def _give(self) -> npt.NDArray[np.float64]:
-        """Gap that a compliance adds, per unit of each multiplier."""
-        return self._over_areas(self._stiffness * self._compliance)
-
     def given(self, f: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """What multipliers add to gaps, ``(num_lengths, ...)`` from ``(num_unknowns, ...)``."""
-        return (self._give() * f.T).T
+        return (self._give * f.T).T
 
     def accept(self, y, f, changed):
         """Take the multipliers and sets of a solution; arguments as :meth:`law`, flat."""
@@ -488,12 +483,6 @@ class ContactRows:
         lengths = self._scaled(self._lengths)
         return lengths + self.given(self._forces.ravel()).reshape(lengths.shape)
 
-    @property
-    def _per_unit(self) -> npt.NDArray[np.float64]:
-        """Pressures over multipliers in these units."""
-        areas = self._areas[: self._per_vertex]
-        return np.divide(self._root, areas, out=0 * areas, where=areas > 0)
-
     def slide(self) -> bool:
         """Make all multipliers of the working set slip; false without friction."""
         return False
@@ -510,6 +499,10 @@ class ContactRows:
         self._diagonal, self._bends, self._guess = self._diagonal or stiffness, None, None
         force = np.maximum(zero * self.m / stiffness, ROUND_OFF_FORCES * self._size)
         self._least = self._root * force, self._root * EXACT * self._size  # multipliers and gaps
+        self._areas = self._found_areas()
+        own = self._areas[: self._per_vertex]
+        self._per_unit = np.divide(self._root, own, out=0 * own, where=own > 0)  # of multipliers
+        self._give = self._over_areas(stiffness * self._compliance)  # gaps by a unit of pressures
         now = self.state
         if touches:
             self._last = now.active
@@ -752,7 +745,7 @@ class ContactRows:
         # by_y (y_new − y) + by_f (f_new − f) = −error, y_new = y0 − G dx + give f_new
         right = error - np.einsum("kla,la->ka", by_f, f)
         right += np.einsum("kla,la->ka", by_y, y0 - y)
-        by_f[:, 0] += by_y[:, 0] * self._give()
+        by_f[:, 0] += by_y[:, 0] * self._give
         if increments is not None:
             moves = self._scaled(self._product(self.from_bodies(increments)))
             right += np.einsum("kla,la->ka", by_y, moves)

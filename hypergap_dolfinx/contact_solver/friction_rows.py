@@ -126,11 +126,10 @@ class FrictionRows(ContactRows):
         """Number of gaps, slips, and normal forces that bound friction."""
         return self.num_unknowns + len(self.g)
 
-    @property
-    def _areas(self) -> npt.NDArray[np.float64]:
+    def _found_areas(self) -> npt.NDArray[np.float64]:
         own = self._own_areas
         forces = np.where(own > 0, self._stiffness, 0)  # these are no lengths
-        return np.vstack((super()._areas, *[own] * (self._n - 1), forces))
+        return np.vstack((super()._found_areas(), *[own] * (self._n - 1), forces))
 
     def _over_own(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Values of vertices over their own areas, 0 where there is no friction."""
@@ -274,7 +273,9 @@ class FrictionRows(ContactRows):
         """Choose the working set; in it new multipliers stick."""
         last = self.rubs
         super().start_set(stiffness, zero, touches=touches)
-        now = self.state
+        now, bears, unit = self.state, self._bears, self._per_unit[0] / self._root
+        bears = replace(bears, values=bears.values * unit[bears.j])  # in the units of laws
+        self._bears_of_units = bears.some(self._own_areas[bears.i] > 0)
         now.sticks = now.sticks | ~last
         now.q = np.where(self.rubs, now.q, 0)
         if self._soft or self._n > 2:
@@ -324,13 +325,6 @@ class FrictionRows(ContactRows):
         values = by_y[1:, self._n][:, bears.i] * bears.values
         i, j = np.broadcast_arrays(len(self.g) * rows + bears.i, bears.j)
         return Sparse(i.ravel(), j.ravel(), values.ravel())
-
-    @property
-    def _bears_of_units(self) -> Sparse:
-        """Normal forces by pressures, both in the units of :meth:`law`."""
-        bears, unit = self._bears, self._per_unit[0] / self._root
-        use = self._own_areas[bears.i] > 0
-        return replace(bears, values=bears.values * unit[bears.j]).some(use)
 
     def _states(self, y, f, at):
         """What is closed, has pressure, sticks, directions of slip; arguments as :meth:`law`."""
