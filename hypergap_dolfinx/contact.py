@@ -23,6 +23,7 @@ from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
 from hypergap_dolfinx.contact_geometry.status import ContactStatus, table
+from hypergap_dolfinx.contact_geometry.tolerances import COSINES, COSINES_SPACE
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
@@ -45,6 +46,7 @@ from hypergap_dolfinx.mortar.tolerances import MISSED_ROOT
 from hypergap_dolfinx.surface.boundary import Places
 from hypergap_dolfinx.surface.component import Component
 from hypergap_dolfinx.surface.moving import Displacements, MovingSurface, displaced
+from hypergap_dolfinx.surface.nearest import nearest
 from hypergap_dolfinx.surface.tolerances import FILE_DIGITS, KINK
 from hypergap_dolfinx.surface.trace import (
     Surface,
@@ -54,7 +56,8 @@ from hypergap_dolfinx.surface.trace import (
     facet_pairs,
     is_mixed,
 )
-from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, STIFF
+from hypergap_dolfinx.surface.triangulation import edge_ends, kinks, neighbours
+from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, STIFF, TILT
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -79,8 +82,9 @@ class Contact(Settable):
     Compliant surfaces (a coating, a gasket, asperities) overlap by c p_a: g_a = −c m_a p_a in
     contact, where m_a is the area of vertex a.
 
-    Γ1 should be the coarser side, or the softer one if one side is far softer: :meth:`between`
-    chooses it. Bodies of degree 2 with round surfaces need curved cells.
+    Γ1 should be the side that slides with a corner or an edge, else the coarser one, or the softer
+    one if one side is far softer: :meth:`between` chooses it. Bodies of degree 2 with round
+    surfaces need curved cells.
 
     Example:
         A block on a wider one, a little above it:
@@ -231,8 +235,9 @@ class Contact(Settable):
         """A contact that chooses its sides. Collective.
 
         Γ1 becomes the softer side if the other is at least a hundred times as stiff; otherwise the
-        coarser side; if facet sizes differ by less than a tenth, the softer one. :attr:`swapped`
-        and the log of ``hypergap_dolfinx`` tell the outcome.
+        side with corners that face the other, if that has none; otherwise the coarser side; if
+        facet sizes differ by less than a tenth, the softer one. :attr:`swapped` and the log of
+        ``hypergap_dolfinx`` tell the outcome.
 
         Args:
             a: One side: a space and facets, as for the constructor.
@@ -249,15 +254,16 @@ class Contact(Settable):
             InterfaceError: As the constructor.
         """
         check_sides("contact", a, b)
-        size = [
-            _size(create_surface(Component.of(V).space, facets, "a side")) for V, facets in (a, b)
-        ]
-        ratio, contrast = size[0] / size[1], 1.0
+        sides = [create_surface(Component.of(V).space, facets, "a side") for V, facets in (a, b)]
+        ratio, contrast = _size(sides[0]) / _size(sides[1]), 1.0
         if stiffness is not None:
             moduli = as_moduli(stiffness)
             contrast = moduli[1] / moduli[0]
+        corners = [_has_corners(*pair) for pair in (sides, sides[::-1])]
         if max(contrast, 1 / contrast) >= STIFF:
             swapped, why = contrast > 1, "far softer"
+        elif corners[0] != corners[1]:
+            swapped, why = corners[0], "cornered"
         elif max(ratio, 1 / ratio) > ALIKE:
             swapped, why = ratio > 1, "coarser"
         else:
@@ -804,6 +810,9 @@ class ContactGeometry:
         """Warning about a Γ1 that is finer than Γ0, or None."""
         if self.finer <= FINER * (1 + 1e-9):
             return None
+        below, above = self.surfaces
+        if _has_corners(above, below) and not _has_corners(below, above):
+            return None
         return (
             f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact than with the "
             "sides swapped; Contact.between swaps them unless Γ0 is far stiffer."
@@ -856,6 +865,47 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
     ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(part) for part in zip(*ends, strict=True))
     return float(min((high.max(axis=0) - low.min(axis=0)).min(), thickness(V.mesh)))
+
+
+def _has_corners(surface: Surface, other: Surface) -> bool:
+    """True if a corner of a surface, in space an edge, faces another one on both of its sides.
+
+    On Γ0 it slides between vertices of Γ1, whose gaps are means, and forces lean to either side.
+    """
+    x, n0, n1 = _corners(surface)
+    if not len(x):
+        return False
+    order = np.lexsort(other.x.T)  # of equally near vertices the same one on any number of ranks
+    points = [np.pad(a, ((0, 0), (0, 3 - surface.gdim))) for a in (x, other.x[order])]
+    near = order[nearest(*points)]
+    around = np.zeros_like(other.x)
+    for vertices in other.facets.T:
+        np.add.at(around, vertices, other.normals)
+    n = around[near] / np.maximum(np.linalg.norm(around[near], axis=1), CLOSED_NORMAL)[:, None]
+    least = (COSINES if surface.gdim == 2 else COSINES_SPACE)[0]
+    facing = [np.einsum("ci,ci->c", n, own) < -least for own in (n0, n1)]
+    half = np.arctan2(np.linalg.norm(n0 - n1, axis=1), np.linalg.norm(n0 + n1, axis=1))
+    return bool((facing[0] & facing[1] & (half > TILT)).any())
+
+
+def _corners(surface: Surface) -> tuple[npt.NDArray[np.float64], ...]:
+    """Places of convex corners, in space of middles of edges, and normals on either side."""
+    if surface.gdim == 2:
+        pairs = facet_pairs(surface)
+        start, end = np.moveaxis(surface.facets[pairs], 2, 0)
+        vertex = np.where(end[:, 0] == start[:, 1], end[:, 0], start[:, 0])
+        on = turns(surface)[1][vertex]
+        x, (f, g) = surface.x[vertex[on]], pairs[on].T
+    else:
+        try:
+            behind = neighbours(surface.polygons, surface.name, surface.x)
+        except InterfaceError:  # more than two facets at an edge
+            behind = np.full(surface.facets.shape, -1)
+        f, k = kinks(surface, behind)
+        g, x = behind[f, k], surface.x[np.stack(edge_ends(surface, f, k))].mean(axis=0)
+    middle = surface.x[surface.facets].mean(axis=1)
+    convex = np.einsum("ci,ci->c", middle[g] - middle[f], surface.normals[f]) < 0
+    return x[convex], surface.normals[f[convex]], surface.normals[g[convex]]
 
 
 def _is_round(surface: Surface) -> bool:

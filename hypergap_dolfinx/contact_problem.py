@@ -37,7 +37,7 @@ from hypergap_dolfinx.surface.moving import Displacements, MovingSurface
 from hypergap_dolfinx.surface.tolerances import OWN_GAP
 from hypergap_dolfinx.surface.trace import gap_of_chords, is_mixed
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, LEANING, STIFF
+from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, LEANING, STIFF, TILT
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -626,6 +626,7 @@ class ContactProblem(ContactSystem):
                 "facets of Γ1 tilt towards a wall of Γ0 beside them, and the gap up to it, {:.2f} "
                 "facets in the mean, makes the contact force too small",
             ),
+            (TILT, "forces lean by {:.2f} radians from Γ1's normals, besides friction"),
             (
                 LEANING,
                 "friction acts across gaps of {:.2f} facets in the mean, so that its moments on "
@@ -645,7 +646,8 @@ class ContactProblem(ContactSystem):
                     ("far", c, k),
                     f"contact {c}: at {spot(x[[vertex]])} {words.format(size)}: a gap is the mean "
                     "over the facets of Γ1 at a vertex, and these are too coarse for a corner, "
-                    "step or curve there; refine them, or take the finer side as Γ1.",
+                    "step or curve there; refine them, or take as Γ1 the side that has the corner, "
+                    "else the finer one.",
                 )
 
     def _warn_of_prescribed(self):

@@ -585,7 +585,8 @@ class ContactRows:
         """Largest distance over which a pressure acts, and largest overlap; and Γ1's vertex there.
 
         A gap is a mean over the facets around a vertex. There a corner may touch or overlap while
-        the rest is far away. Third, the mean by force of gaps up to edges that lean.
+        the rest is far away. Third, the mean by force of gaps up to edges that lean; fourth, that
+        of angles by which forces lean.
 
         Args:
             least: Length below which neither is searched for. Overlaps are in facet sizes of the
@@ -610,7 +611,42 @@ class ContactRows:
         told = [(float(part.max(initial=0)), int(part.argmax())) for part in found]
         pressed = float((p * self.m * size).sum())
         mean = float((p * leaning).sum()) / pressed if pressed else 0.0
-        return [*told, (mean, int((p * leaning).argmax()))]
+        return [*told, (mean, int((p * leaning).argmax())), self._lean()]
+
+    def _lean(self) -> tuple[float, int]:
+        """Mean by force of angles between Γ1's normals and forces without friction; the vertex.
+
+        A corner of Γ0 that slides between vertices of Γ1 comes nearer to one, which holds it back.
+        Forces may have any direction between the normals of the facets around a vertex, and at
+        Γ1's ends.
+        """
+        p = np.where(self.state.active, self.state.p, 0).clip(min=0)
+        on = (self.C.j >= len(self.sides[0].dofs) * self._n) & (p[self.C.i] > 0)
+        i, j = self.C.i[on], self.C.j[on] % self._n
+        forces = -np.bincount(i * self._n + j, self.C.values[on] * p[i], len(p) * self._n)
+        forces = forces.reshape(-1, self._n)
+        surface = self.sides[1].displaced(self.at[1])
+        rows = self.condensed_to[surface.facets]
+        facet, k = np.nonzero((rows >= 0) & (p[rows] > 0))
+        rows, normals = rows[facet, k], surface.normals[facet]
+        axes, widest = np.zeros_like(forces), np.ones(len(p))
+        np.add.at(axes, rows, normals)
+        axes /= np.maximum(lengths(axes), np.finfo(float).tiny)[:, None]
+        cosines = np.einsum("fi,fi->f", normals, axes[rows])
+        np.minimum.at(widest, rows, np.where(self._at_ends[surface.facets[facet, k]], -1, cosines))
+        size, along = lengths(forces), np.einsum("ai,ai->a", forces, axes)
+        cosines = np.divide(along, size, out=np.ones_like(size), where=size > 0)
+        lean = np.maximum(np.arccos(cosines.clip(-1, 1)) - np.arccos(widest.clip(-1, 1)), 0) * size
+        return float(lean.sum() / size.sum()) if size.any() else 0.0, int(lean.argmax())
+
+    @cached_property
+    def _at_ends(self) -> npt.NDArray[np.bool_]:
+        """Mask of vertices where Γ1 ends."""
+        surface = self.sides[1].reference
+        found = np.zeros(len(surface.x), dtype=bool)
+        for start in range(self._n - 1):
+            found[np.roll(surface.polygons, -start, axis=1)[surface.is_outline]] = True
+        return found
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

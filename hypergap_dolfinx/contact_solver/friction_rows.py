@@ -458,7 +458,7 @@ class FrictionRows(ContactRows):
         return joined(super()._curvature(), H)
 
     def reaches(self, least: float) -> list[tuple[float, int]]:
-        """The same; fourth, the mean by force of gaps across which friction acts. Collective.
+        """The same; fifth, the mean by force of gaps across which friction acts. Collective.
 
         It is what is left of the moments on both bodies, over forces. Rows that vertices share may
         have gaps of their own there. With a compliance surfaces are to overlap.
