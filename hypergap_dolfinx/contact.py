@@ -889,7 +889,10 @@ def _has_corners(surface: Surface, other: Surface) -> bool:
 
 
 def _corners(surface: Surface) -> tuple[npt.NDArray[np.float64], ...]:
-    """Places of convex corners, in space of middles of edges, and normals on either side."""
+    """Places of convex corners, in space of middles of edges, and normals on either side.
+
+    None of a side at whose edges more than two facets meet: contact takes it, neighbours aren't known.
+    """
     if surface.gdim == 2:
         pairs = facet_pairs(surface)
         start, end = np.moveaxis(surface.facets[pairs], 2, 0)
@@ -899,7 +902,7 @@ def _corners(surface: Surface) -> tuple[npt.NDArray[np.float64], ...]:
     else:
         try:
             behind = neighbours(surface.polygons, surface.name, surface.x)
-        except InterfaceError:  # more than two facets at an edge
+        except InterfaceError:
             behind = np.full(surface.facets.shape, -1)
         f, k = kinks(surface, behind)
         g, x = behind[f, k], surface.x[np.stack(edge_ends(surface, f, k))].mean(axis=0)

@@ -626,7 +626,7 @@ class ContactProblem(ContactSystem):
                 "facets of Γ1 tilt towards a wall of Γ0 beside them, and the gap up to it, {:.2f} "
                 "facets in the mean, makes the contact force too small",
             ),
-            (TILT, "forces lean by {:.2f} radians from Γ1's normals, besides friction"),
+            (np.degrees(TILT), "forces lean by {:.0f}° from Γ1's normals, besides friction"),
             (
                 LEANING,
                 "friction acts across gaps of {:.2f} facets in the mean, so that its moments on "

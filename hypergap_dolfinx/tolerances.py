@@ -50,8 +50,12 @@ FACING_ANGLE = np.pi / 3
 Measured: test_touching: 45° loses curved facets (2 of 140 tests), 75° changes nothing."""
 
 TILT = np.pi / 36
-"""Deviation of flat facets' normals from opposite ones.
-Measured: test_touching: 45° takes chamfers (2 of 48 tests), 0.5° changes nothing."""
+"""Deviation of flat facets' normals from opposite ones, and of contact's forces from Γ1's normals
+in the mean, from which it is told; half the turn of a contact's corner from which it is on Γ1.
+Measured: test_touching: 45° takes chamfers (2 of 48 tests), 0.5° changes nothing. Forces: of 284
+contacts in tests and demos 27 lean by .02, 15 by .05, 14 by .1 and by .995 at most. Of 23 random
+punches that slide on coarse facets, 11 lean by more: tangential over normal force off by .07 to
+.38; 12 by less: .01 to .09."""
 
 SEEN = 0.1
 """Width of facets' common part, over the smaller one's size, that is no sign of their distance.

@@ -614,13 +614,15 @@ class ContactRows:
         return [*told, (mean, int((p * leaning).argmax())), self._lean()]
 
     def _lean(self) -> tuple[float, int]:
-        """Mean by force of angles between Γ1's normals and forces without friction; the vertex.
+        """Mean by force of degrees between Γ1's normals and frictionless forces; a vertex.
 
         A corner of Γ0 that slides between vertices of Γ1 comes nearer to one, which holds it back.
         Forces may have any direction between the normals of the facets around a vertex, and at
         Γ1's ends.
         """
         p = np.where(self.state.active, self.state.p, 0).clip(min=0)
+        if not p.any():
+            return 0.0, 0
         on = (self.C.j >= len(self.sides[0].dofs) * self._n) & (p[self.C.i] > 0)
         i, j = self.C.i[on], self.C.j[on] % self._n
         forces = -np.bincount(i * self._n + j, self.C.values[on] * p[i], len(p) * self._n)
@@ -637,7 +639,9 @@ class ContactRows:
         size, along = lengths(forces), np.einsum("ai,ai->a", forces, axes)
         cosines = np.divide(along, size, out=np.ones_like(size), where=size > 0)
         lean = np.maximum(np.arccos(cosines.clip(-1, 1)) - np.arccos(widest.clip(-1, 1)), 0) * size
-        return float(lean.sum() / size.sum()) if size.any() else 0.0, int(lean.argmax())
+        return float(np.degrees(lean.sum() / max(size.sum(), np.finfo(float).tiny))), int(
+            lean.argmax()
+        )
 
     @cached_property
     def _at_ends(self) -> npt.NDArray[np.bool_]:

@@ -223,6 +223,88 @@ def test_pressure_far_away(caplog, monkeypatch):
     assert contact.active.any() and (told or comm.rank > 0)
 
 
+def wedge_on_block(cells, slope=0.5, bent=0.0):
+    """Bodies and their sides: a block, its top bent, and a wedge, in space a prism, .003 above."""
+    dim = len(cells[0])
+
+    def block(x):
+        x = 2 * x - 1
+        x[:, 1] += -1 - bent * np.abs(x[:, 0]) * (x[:, 1] + 1) / 2
+        return x
+
+    def wedge(x):
+        x[:, 0], x[:, 2:] = x[:, 0] - 0.5, 2 * x[:, 2:] - 1
+        x[:, 1] += (1 - x[:, 1]) * slope * np.abs(x[:, 0])
+        x[:, 1] += 0.003
+        return x
+
+    bodies = []
+    for i, place in enumerate((block, wedge)):
+        cell = {2: "quadrilateral", 3: ("hexahedron", "tetrahedron")[i]}[dim]
+        mesh, ft = meshes.block(comm, cells[i], place, cell=cell)
+        V = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+        bodies.append((V, ft, (V, ft.find((meshes.TOP, meshes.BOTTOM)[i]))))
+    return bodies
+
+
+@pytest.mark.ranks(2, slope=[0.5])
+@pytest.mark.parametrize("dim", (2, 3))
+@pytest.mark.parametrize(
+    "slope, bent, stiffness, wedge, why",
+    (
+        (0.5, 0.0, None, True, "the cornered one"),
+        (0.05, 0.0, None, False, "the coarser one"),  # hardly a corner
+        (-0.5, 0.0, None, False, "the coarser one"),  # a groove
+        (0.5, 0.4, None, False, "the coarser one"),  # both have one
+        (0.5, 0.0, (1, 100), False, "the far softer one"),
+    ),
+)
+def test_side_with_corners(dim, slope, bent, stiffness, wedge, why, caplog):
+    """A side with a corner that faces a smooth one is Γ1, though it is the finer side."""
+    cells = ((4, 2, 2)[:dim], (8, 3, 3)[:dim])
+    block, cornered = (body[2] for body in wedge_on_block(cells, slope, bent))
+    with caplog.at_level("INFO", logger="hypergap_dolfinx"):
+        contact = Contact.between(block, cornered, stiffness=stiffness)
+        assert Contact.between(cornered, block, stiffness=stiffness and stiffness[::-1])
+    assert contact.spaces[1] is (cornered if wedge else block)[0]
+    assert caplog.text.count(why) == 2 * (comm.rank == 0)
+    assert "finer than Γ0" not in caplog.text
+
+
+@pytest.mark.ranks(2, dim=[2])
+@pytest.mark.parametrize("dim", (2, 3))
+def test_corner_slides(dim, caplog):
+    """Without friction nothing holds a wedge back: with its corner on Γ0 facets of Γ1 do, told."""
+    bodies = wedge_on_block(((8, 3, 2)[:dim], (4, 3, 2)[:dim]))
+    u, F, bcs, moves = [], [], [], []
+    for i, (V, ft, _) in enumerate(bodies):
+        body = Elastic.on(V)
+        u.append(body.u)
+        F.append(body.F)
+        moves.append(fem.Function(V))
+        away = fem.locate_dofs_topological(V, dim - 1, ft.find((meshes.BOTTOM, meshes.TOP)[i]))
+        bcs.append(fem.dirichletbc(moves[i], away))
+    told, largest = [], []
+    for choose in (Contact.between, lambda block, wedge: Contact(wedge, block)):
+        caplog.clear()
+        contact = choose(*(body[2] for body in bodies))
+        for w in u:
+            w.x.array[:] = 0
+        problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+        ratios = []
+        for at in (0.02, 0.08, 0.14):
+            way = np.zeros(dim)
+            way[:2] = at, -0.063
+            moves[1].x.array[:] = np.tile(way, len(moves[1].x.array) // dim)
+            problem.solve()
+            force = contact.force(problem, on=u[1])
+            ratios.append(abs(force[0]) / force[1])
+        told.append("forces lean by" in caplog.text)
+        largest.append(max(ratios))
+    assert largest[0] <= 0.03 and largest[1] >= 0.2
+    assert told == [False, comm.rank == 0]
+
+
 def lowered(places, cells, down, shrink=0.0, every=False, swap=False, **elastic):
     """A block lowered onto another one, both mapped; its top shrinks around x = 0."""
     u, F, bcs, sides = [], [], [], []
