@@ -891,7 +891,7 @@ def _has_corners(surface: Surface, other: Surface) -> bool:
 def _corners(surface: Surface) -> tuple[npt.NDArray[np.float64], ...]:
     """Places of convex corners, in space of middles of edges, and normals on either side.
 
-    None of a side at whose edges more than two facets meet: contact takes it, neighbours aren't known.
+    None of a side at whose edges more than two facets meet, which contact takes all the same.
     """
     if surface.gdim == 2:
         pairs = facet_pairs(surface)
