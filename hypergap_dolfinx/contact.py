@@ -700,21 +700,26 @@ class Contact(Settable):
         those of the start. The moments on both bodies about one point are opposite: to round-off,
         with friction up to the gaps within facets, in the plane only where Γ0 ends within these.
         With forms of small strains, loads and reactions on a body balance the moment at the
-        mesh's positions, ``displaced=False``: such forms don't see that forces move.
+        mesh's positions, ``displaced=False``: such forms don't see that forces move. There the
+        moments on both bodies differ, by the force times what they have moved against each other.
 
         Args:
             problem: A solved problem with this contact.
             about: The point x₀, ``(n,)``; any point of an axis for the torque about it.
             on: Displacement of the body, as in :meth:`force`.
             facets: Some facets, as there.
-            displaced: False for positions of the mesh, as in :meth:`Tie.moment`.
+            displaced: False for positions of the mesh, whatever the forms (there is no default by
+                the problem, as :meth:`Tie.moment` has).
 
         Returns:
             Moment, ``(3,)`` in space, ``(1,)`` in the plane, the same on every rank.
 
         Raises:
-            ValueError: As :meth:`force`; bodies of revolution; a point of the wrong shape.
+            ValueError: As :meth:`force`; bodies of revolution; a point of the wrong shape; another
+                ``displaced``.
         """
+        if displaced not in (False, True):
+            raise ValueError(f"displaced is {displaced!r}: give True or False.")
         rows, n = self._solved_rows(problem), self._spaces[0].mesh.geometry.dim
         if self.axisymmetric:
             raise ValueError("a body of revolution has no moment; take force().")

@@ -193,6 +193,8 @@ def test_moment_at_positions_of_the_mesh():
         still = contact.moment(problem, (0, 0), on=body, displaced=False)
         now = contact.moment(problem, (0, 0), on=body)
         assert abs(reaction + still[0]) < 1e-11 * abs(reaction) < 1e-9 * abs(now - still)[0]
+    with raises(ValueError, "displaced is None: give True or False."):  # Tie.moment's default
+        contact.moment(problem, (0, 0), displaced=None)
 
 
 def rotating(dim, swap=False, rigid=False, solver=None, **options):
