@@ -235,9 +235,9 @@ class Contact(Settable):
         """A contact that chooses its sides. Collective.
 
         Γ1 becomes the softer side if the other is at least a hundred times as stiff; otherwise the
-        side with corners that face the other, if that has none; otherwise the coarser side; if
-        facet sizes differ by less than a tenth, the softer one. :attr:`swapped` and the log of
-        ``hypergap_dolfinx`` tell the outcome.
+        side with corners (in space edges that turn by 60° or more) that face the other, if that has
+        none; otherwise the coarser side; if facet sizes differ by less than a tenth, the softer
+        one. :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome.
 
         Args:
             a: One side: a space and facets, as for the constructor.
@@ -890,7 +890,8 @@ def _has_corners(surface: Surface, other: Surface) -> bool:
     least = (COSINES if surface.gdim == 2 else COSINES_SPACE)[0]
     facing = [np.einsum("ci,ci->c", n, own) < -least for own in (n0, n1)]
     half = np.arctan2(np.linalg.norm(n0 - n1, axis=1), np.linalg.norm(n0 + n1, axis=1))
-    return bool((facing[0] & facing[1] & (half > TILT)).any())
+    least_half = TILT if surface.gdim == 2 else KINK / 2  # coarse smooth surfaces turn by 50°
+    return bool((facing[0] & facing[1] & (half > least_half)).any())
 
 
 def _corners(surface: Surface) -> tuple[npt.NDArray[np.float64], ...]:

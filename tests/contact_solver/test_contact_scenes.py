@@ -262,6 +262,7 @@ def wedge_on_block(cells, slope=0.5, bent=0.0):
 def test_side_with_corners(dim, slope, bent, stiffness, wedge, why, caplog):
     """A side with a corner that faces a smooth one is Γ1, though it is the finer side."""
     cells = ((4, 2, 2)[:dim], (8, 3, 3)[:dim])
+    slope, bent = (dim - 1) * slope, (dim - 1) * bent  # in space edges count from 60° on
     block, cornered = (body[2] for body in wedge_on_block(cells, slope, bent))
     with caplog.at_level("INFO", logger="hypergap_dolfinx"):
         contact = Contact.between(block, cornered, stiffness=stiffness)
