@@ -55,6 +55,7 @@ from hypergap_dolfinx.surface.trace import (
     create_surface,
     facet_pairs,
     is_mixed,
+    lengths,
 )
 from hypergap_dolfinx.surface.triangulation import edge_ends, kinks, neighbours
 from hypergap_dolfinx.tolerances import ALIKE, BEHIND_BODY, CLOSED_NORMAL, FINER, STIFF, TILT
@@ -886,10 +887,10 @@ def _has_corners(surface: Surface, other: Surface) -> bool:
     around = np.zeros_like(other.x)
     for vertices in other.facets.T:
         np.add.at(around, vertices, other.normals)
-    n = around[near] / np.maximum(np.linalg.norm(around[near], axis=1), CLOSED_NORMAL)[:, None]
+    n = around[near] / np.maximum(lengths(around[near]), CLOSED_NORMAL)[:, None]
     least = (COSINES if surface.gdim == 2 else COSINES_SPACE)[0]
     facing = [np.einsum("ci,ci->c", n, own) < -least for own in (n0, n1)]
-    half = np.arctan2(np.linalg.norm(n0 - n1, axis=1), np.linalg.norm(n0 + n1, axis=1))
+    half = np.arctan2(lengths(n0 - n1), lengths(n0 + n1))
     least_half = TILT if surface.gdim == 2 else KINK / 2  # coarse smooth surfaces turn by 50°
     return bool((facing[0] & facing[1] & (half > least_half)).any())
 

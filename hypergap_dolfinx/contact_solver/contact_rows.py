@@ -20,7 +20,7 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.pattern import Pattern, coupled
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
+from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations, ends
 from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
     EXACT,
@@ -639,18 +639,14 @@ class ContactRows:
         size, along = lengths(forces), np.einsum("ai,ai->a", forces, axes)
         cosines = np.divide(along, size, out=np.ones_like(size), where=size > 0)
         lean = np.maximum(np.arccos(cosines.clip(-1, 1)) - np.arccos(widest.clip(-1, 1)), 0) * size
-        return float(np.degrees(lean.sum() / max(size.sum(), np.finfo(float).tiny))), int(
-            lean.argmax()
-        )
+        mean = lean.sum() / max(size.sum(), np.finfo(float).tiny)
+        return float(np.degrees(mean)), int(lean.argmax())
 
     @cached_property
     def _at_ends(self) -> npt.NDArray[np.bool_]:
         """Mask of vertices where Γ1 ends."""
         surface = self.sides[1].reference
-        found = np.zeros(len(surface.x), dtype=bool)
-        for start in range(self._n - 1):
-            found[np.roll(surface.polygons, -start, axis=1)[surface.is_outline]] = True
-        return found
+        return np.isin(np.arange(len(surface.x)), ends(surface))
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

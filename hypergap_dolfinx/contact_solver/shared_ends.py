@@ -81,7 +81,7 @@ def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.ND
     along: dict[Hashable, list[tuple[Hashable, npt.NDArray]]] = {}
     for side in (side for sides in contacts for side in sides):
         normals = _vertex_normals(side.surface)
-        for v in _ends(side.surface).tolist():
+        for v in ends(side.surface).tolist():
             if side.is_held(v, normals[v]):
                 places.join(side.node(v), HELD)
     for sides in ties:
@@ -124,7 +124,7 @@ def _outline(surface: Surface) -> npt.NDArray[np.int32]:
     return np.column_stack((start[outline], end[outline]))
 
 
-def _ends(surface: Surface) -> npt.NDArray[np.intp]:
+def ends(surface: Surface) -> npt.NDArray[np.intp]:
     """Vertices at a surface's boundary."""
     return np.unique(_outline(surface))
 
@@ -140,7 +140,7 @@ def _facing(sides: Ends) -> list[tuple[int, int | None]]:
     edges, found = _outline(surface0), []
     start, way = surface0.x[edges[:, 0]], np.diff(surface0.x[edges], axis=1)[:, 0]
     square = np.maximum((way**2).sum(axis=1), 1e-300)
-    for v in _ends(surface1).tolist():
+    for v in ends(surface1).tolist():
         off = surface1.x[v] - start
         share = np.clip((off * way).sum(axis=1) / square, 0, 1)
         distance = np.linalg.norm(off - share[:, None] * way, axis=1)
