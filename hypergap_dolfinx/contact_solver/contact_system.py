@@ -18,7 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.floating import FreeMotions, RigidBodyDiagnostics
 from hypergap_dolfinx.algebra.tolerances import NOTHING
-from hypergap_dolfinx.contact_solver import active_set, multigrid_tangent
+from hypergap_dolfinx.contact_solver import complementarity, multigrid_tangent
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
@@ -26,6 +26,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     share_ends,
 )
 from hypergap_dolfinx.contact_solver.continuation import Continuation
+from hypergap_dolfinx.contact_solver.force_balance import ForceBalance
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution, largest_change
 from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, MultigridTangent
@@ -36,7 +37,6 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     LARGE_CONTACT,
     PATIENCE,
     REUSED,
-    ROUND_OFF_FORCES,
     SHORTENED,
     STEPS,
     TRIALS,
@@ -89,7 +89,7 @@ class ContactSystem(NonlinearSystem):
     The iteration ends after a step (or at the start, if the residual is round-off) when both hold:
 
     - Forces balance: the residual of bodies, ties and contact forces is at most rtol times the
-      forces in the bodies, or round-off (:meth:`_balances`). That of a body adds up to zero.
+      forces in the bodies, or round-off (``ForceBalance``). That of a body adds up to zero.
     - Contact's laws hold: no gap is open where a pressure acts, none is negative, sticking vertices
       don't slip, and tractions are μ p at the others (``ContactRows.is_closed``).
 
@@ -163,10 +163,13 @@ class ContactSystem(NonlinearSystem):
         self._free: FreeMotions | None = None
         self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
-        self._last_unbalanced = np.inf
         self._before: tuple[list, list, list] | None = None  # values, residual and forces
-        self._softest, self._stiffness_of = 0.0, list[int | None]()
-        self._row_lengths, self._told_loose = list[npt.NDArray[np.float64]](), list[int]()
+        self._stiffness_of, self._told_loose = list[int | None](), list[int]()
+        self._finest = min(float(s.reference.size.min()) for rows in self._rows for s in rows.sides)
+        depends = self._depends[: self._num_elastic]
+        self._balance = ForceBalance(
+            self._fields, self._K, self._held, depends, self._couplings, self._finest, rtol
+        )
         self._poking = [np.empty((0, self._dim)) for _ in pairs]  # corners, when last looked at
         self._recorded = [rows.state.active for rows in self._rows]  # what was in contact
 
@@ -269,7 +272,7 @@ class ContactSystem(NonlinearSystem):
 
     def _forget(self):
         super()._forget()
-        self._last_unbalanced = np.inf
+        self._balance.last_unbalanced = np.inf
         self._tangent.destroy()
 
     def _release(self) -> list:
@@ -365,7 +368,7 @@ class ContactSystem(NonlinearSystem):
         self._reach = np.inf
         least = min(rows.closed for rows in self._rows)
         continuation = Continuation(self._comm, least)
-        self._largest, self._largest_terms = np.zeros(1), np.zeros(1)
+        self._balance.start_step()
         self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
         share, step = 1.0, 0
@@ -398,9 +401,9 @@ class ContactSystem(NonlinearSystem):
                     self._check_held()
                     return step
                 polished = True
-            if step >= STEPS and not self._converges:
+            if step >= STEPS and not self._balance.converges:
                 raise SolveError(self._stalled(step))
-            self._last_unbalanced = self._unbalanced
+            self._balance.last_unbalanced = self._balance.unbalanced
             if self._num_free:
                 self._hold()
             if step:
@@ -467,7 +470,7 @@ class ContactSystem(NonlinearSystem):
             for pair in ((now, last), (last, now))
         )
         gap = max(rows.largest_gap for rows in self._rows)
-        residual = self._unbalanced / (self._in_bodies or 1)
+        residual = self._balance.unbalanced / (self._balance.in_bodies or 1)
         found = {"gap": gap, "came": came, "went": went, "step": step}
         self._records.note(residual, self._tangent.iterations, **found)
         self._recorded = now
@@ -498,16 +501,15 @@ class ContactSystem(NonlinearSystem):
         num_tied += sum(field.num_others for field in self._fields)  # pressures, as a rule
         nearness = self._nearness if self._num_free else None
 
-        def solve(guesses: active_set.Guesses) -> Solution:
+        def solve(guesses: complementarity.Guesses) -> Solution:
             equations = [rows.equations(jump) for rows in self._rows]
             problem = LinearisedContact(self._tangent, self._rows, equations, stiffness)
             return problem.solve(
                 self._right(), num_tied, self._fixed, nearness, guesses, self._reach
             )
 
-        own = ROUND_OFF_FORCES * float(self._largest.min())  # forces of soft bodies, too, balance
-        floor = 0.01 * self._rtol * self._in_bodies + own
-        self._tangent.floor = floor
+        balance = self._balance  # forces of soft bodies balance, too
+        self._tangent.floor = 0.01 * self._rtol * balance.in_bodies + balance.round_off
         found = self._solution(solve)
         if not found.is_solved and self._leaves_what_touches(start, stiffness):
             again = self._solution(solve)
@@ -524,12 +526,12 @@ class ContactSystem(NonlinearSystem):
         largest = largest_change(self._comm, found.changes, self._fixed)
         self._reach = np.inf if found.leaves else largest / SHORTENED  # held near its place
         changes = self._of_displacements(found.changes)
-        work = self._comm.allreduce(sum(map(np.dot, changes, self._left)))
+        work = self._comm.allreduce(sum(map(np.dot, changes, balance.left)))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
         return (start, self._state()), work, found.is_stiffened
 
-    def _solution(self, solve: Callable[[active_set.Guesses], Solution]) -> Solution:
+    def _solution(self, solve: Callable[[complementarity.Guesses], Solution]) -> Solution:
         """Solution of the linearised problem from the present working sets. Collective."""
         guesses = self._tangent.guesses()
         while True:
@@ -625,7 +627,7 @@ class ContactSystem(NonlinearSystem):
         way_out = "; with friction, give (larger) elastic_slip=, or solve without friction first"
         return (
             f"no equilibrium is found: after {step} Newton steps forces are off by "
-            f"{self._unbalanced:.2g}, gaps in contact by {gap:.2g}, "
+            f"{self._balance.unbalanced:.2g}, gaps in contact by {gap:.2g}, "
             f"and contact {c} changes most at {at}{way_out * bool(self._frictional)}."
         )
 
@@ -676,7 +678,7 @@ class ContactSystem(NonlinearSystem):
 
     def _hold_too_much(self) -> list[FrictionRows]:
         """Contacts with sticking tractions beyond friction, as where its coefficient has fallen."""
-        nothing = self._nothing()
+        nothing = self._balance.nothing
         return [rows for rows in self._frictional if rows.holds_too_much(nothing)]
 
     def _assemble_what_moved(self):
@@ -723,14 +725,14 @@ class ContactSystem(NonlinearSystem):
             rows_across.append(self._springs(modes))
             return np.vstack([p.reshape(-1, self._num_free) for p in (holds[:0], *rows_across)])
 
-        active, num_free = active_set.holding(every, distance, valid, holds, across())
+        active, num_free = complementarity.holding(every, distance, valid, holds, across())
         ends = np.cumsum([len(rows.g) for rows in self._rows])[:-1]
         for rows, part in zip(self._rows, np.split(active, ends), strict=True):
             rows.activate(part)
         if num_free and frictional:
             for rows, _ in frictional:
                 rows.stick()
-            num_free = active_set.num_free(np.vstack((holds[active], across())))
+            num_free = complementarity.num_free(np.vstack((holds[active], across())))
         if num_free:
             found = np.vstack((holds[active], across()))
             raise SolveError(self._strays.unheld(self._owned(), found, num_free, bool(frictional)))
@@ -780,93 +782,16 @@ class ContactSystem(NonlinearSystem):
 
     def _balances(self) -> bool:
         """True if the residual is zero within rtol and the active gaps are closed. Collective."""
-        num, bodies = len(self._b.getNestSubVecs()) - self._num_ties, len(self._u)
-        left, contact = self._forces_left()
-        self._left = self._of_displacements(left[:bodies])
-        found = [
-            field.squares(values)
-            for of in (left[:bodies], self._owned())
-            for field, values in zip(self._fields, of, strict=True)
-        ]
+        left, of_contacts = self._forces_left()
         self._stiffness()
-        found.append(np.array([np.vdot(part, part).real for part in left[bodies:num]]))  # at jumps
-        found.append(self._along_axes(self._left).ravel())
-        sums = np.concatenate(found)
-        self._comm.Allreduce(MPI.IN_PLACE, sums)
-        *found, jumps, along = np.split(sums, np.cumsum([len(part) for part in found[:-1]]))
-        errors, values = found[:bodies], found[bodies:]
-        apart, extent = self._of_couplings(left)
-        elastic = self._num_elastic
-        rest = jumps.sum() + apart + sum(error[0] for error in errors[elastic:])
-        error_of = np.sqrt([*(error[0] for error in errors[:elastic]), rest])
-        self._unbalanced = float(np.linalg.norm(error_of))
-        sizes = [L**2 @ part for L, part in zip(self._row_lengths, values, strict=True)]
-        of_bodies = [float(size[0]) for size in sizes]
-        # Each body's round-off by itself: a stiff one's may be more than a soft one's forces
-        size_of = np.sqrt([*of_bodies[:elastic], sum(of_bodies) + extent])
-        self._largest = np.maximum(self._largest, size_of)  # its digits are lost when forces fall
-        nothing = self._nothing()
-        # The same of other fields' equations, each field's by itself
-        error, terms = (
-            np.sqrt(np.concatenate([of[1:] for of in each])) for each in (errors, sizes)
-        )
-        self._largest_terms = np.maximum(self._largest_terms, terms)
-        accepted = np.maximum(self._rtol * terms, ROUND_OFF_FORCES * self._largest_terms)
-        are_satisfied = bool((error <= accepted).all())
-        size = sum([force**2 for force in self._forces])
-        for forces in contact:
-            size += sum([(force**2).sum() for force in forces])
-        self._in_bodies = size = float(np.sqrt(size))
-        if not (are_satisfied and all([rows.is_closed(nothing) for rows in self._rows])):
+        balance = self._balance
+        balance.measure(left, self._num_ties, self._owned(), self._forces, of_contacts)
+        nothing = balance.nothing
+        if not balance.satisfies_others or not all([r.is_closed(nothing) for r in self._rows]):
             return False
-        known = self._largest.copy()
-        for i, depends in enumerate(self._depends[:elastic]):
-            known[i] += self._at_rest(i) * (depends.on_u and not self._converges)
-        beyond = float(np.linalg.norm(np.maximum(error_of - ROUND_OFF_FORCES * known, 0)))
-        force, terms = np.abs(along).reshape(2, -1)
-        force -= ROUND_OFF_FORCES * (size + terms)  # the round-off of stresses adds up to zero
-        beyond = max(beyond, float(force.max(initial=0)))
+        beyond = balance.unexplained()
         self._is_exact = not beyond and not self._tied  # ties have gaps, too
-        return bool(beyond <= self._rtol * size)
-
-    def _along_axes(self, left: Sequence[npt.NDArray]) -> npt.NDArray[np.float64]:
-        """This rank's sums of a residual along axes on which nothing of a body is prescribed.
-
-        Args:
-            left: This rank's residual of displacements.
-
-        Returns:
-            Sums for each body and axis, and those of the terms in them, ``(2, num)``: stresses have
-            none, springs and masses have.
-        """
-        now = self._of_displacements(self._owned())
-        sums = [
-            (left[i].real[a :: self._dim].sum(), np.abs(column * now[i]).sum())
-            for i, a, column in self._translated
-        ]
-        return np.reshape(sums, (-1, 2)).T
-
-    @property
-    def _converges(self) -> bool:
-        """True if the residual is less than before the last Newton step, or the load step."""
-        return bool(self._unbalanced < SHORTENED * self._last_unbalanced)
-
-    def _at_rest(self, i: int) -> float:
-        """Forces that add up to zero in a body at rest, if its form isn't linear.
-
-        Its gradient is 1 + ∂u/∂X, with the round-off of 1: displacements have that of a facet.
-        """
-        return float(self._row_lengths[i][0, 0] * self._K[i].getSize()[0] ** 0.5 * self._finest)
-
-    @cached_property
-    def _finest(self) -> float:
-        """Size of the smallest facet in contact."""
-        return min(float(side.reference.size.min()) for rows in self._rows for side in rows.sides)
-
-    def _nothing(self) -> float:
-        """Force of contact that is round-off: gaps have that of places, as in :meth:`_at_rest`."""
-        softest = min(map(self._at_rest, range(self._num_elastic)), default=0.0)
-        return ROUND_OFF_FORCES * float(self._largest[-1] + softest)
+        return bool(beyond <= self._rtol * balance.in_bodies)
 
     def _balances_between(self) -> bool:
         """True if forces between those of this and of the last state balance; takes these then.
@@ -876,15 +801,15 @@ class ContactSystem(NonlinearSystem):
         """
         parts, last = self._x.getNestSubVecs(), self._before
         values = [part.array_r.copy() for part in parts]
-        self._before = values, self._left, [rows.acting for rows in self._rows]
+        self._before = values, self._balance.left, [rows.acting for rows in self._rows]
         if last is None:
             return False
         apart = [b - a for a, b in zip(values, last[0], strict=True)]
         far = max(float(np.abs(part).max(initial=0)) for part in self._of_displacements(apart))
         if self._comm.allreduce(far, MPI.MAX) > min(rows.closed for rows in self._rows):
             return False
-        change = [b - a for a, b in zip(self._left, last[1], strict=True)]
-        sums = np.array([sum(map(np.vdot, of, change)).real for of in (self._left, change)])
+        change = [b - a for a, b in zip(self._balance.left, last[1], strict=True)]
+        sums = np.array([sum(map(np.vdot, of, change)).real for of in (self._balance.left, change)])
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         if not 0 < -sums[0] < sums[1]:
             return False
@@ -902,18 +827,6 @@ class ContactSystem(NonlinearSystem):
             rows.update_geometry()
         self._evaluate(self._x, self._b)
         return self._balances()
-
-    def _of_couplings(self, left: Sequence[npt.NDArray]) -> tuple[float, float]:
-        """Squares of couplings' residuals and of their extents, as forces. Collective."""
-        if not self._couplings:
-            return 0.0, 0.0
-        found = np.zeros(2)
-        for one, part in zip(
-            self._couplings, left[len(left) - len(self._couplings) :], strict=True
-        ):
-            found += part @ part, len(part) * one.length**2
-        found = self._comm.allreduce(found) * self._stiffness() ** 2
-        return float(found[0]), float(found[1])
 
     def _slides(self, jump: Sequence[npt.NDArray[np.float64]]) -> bool:
         """True if active surfaces are prescribed to move farther than their facets are long."""
@@ -959,24 +872,11 @@ class ContactSystem(NonlinearSystem):
         self._assign(self._x)
 
     def _stiffness(self) -> float:
-        """Mean diagonal of the softest body; lengths of matrix rows with it. Collective."""
+        """Mean diagonal of the softest body, else of rigid ones' springs. Collective."""
         if self._stiffness_of != self._known:
             self._stiffness_of = list(self._known)
-            pairs = list(zip(self._fields, self._K, strict=True))
-            sizes = [field.stiffness(K) for field, K in pairs[: self._num_elastic]]
-            self._softest = min(sizes, default=0.0) or max(rows.springs for rows in self._rows)
-            self._row_lengths = [field.lengths(K) for field, K in pairs]
-            self._translated = [
-                (i, a, self._moving[i].of_body(self._forces_of(i, a))) for i, a in self._free_axes
-            ]
-        return self._softest
-
-    @cached_property
-    def _free_axes(self) -> list[tuple[int, int]]:
-        """Elastic bodies and axes on which none of their displacements is prescribed."""
-        held = self._of_displacements(self._held)[: self._num_elastic]
-        found = np.reshape([of.reshape(-1, self._dim).sum(axis=0) for of in held], (-1, self._dim))
-        return [(int(i), int(a)) for i, a in np.argwhere(self._comm.allreduce(found) == 0)]
+            self._balance.measure_stiffness()
+        return self._balance.stiffness or max(rows.springs for rows in self._rows)
 
     def half_space_compliance(self, rows: ContactRows) -> float:
         """1/E* of half-spaces of a contact's bodies, 0 if it isn't known. Collective.
@@ -993,17 +893,4 @@ class ContactSystem(NonlinearSystem):
             if not part:
                 return 0.0
             found += part
-        return found
-
-    def _forces_of(self, i: int, a: int) -> npt.NDArray[np.float64]:
-        """Derivatives of the sum of a body's forces along an axis, on this rank. Collective."""
-        K, part = self._K[i], self._moving[i]
-        unit, forces = K.createVecs()
-        one = np.zeros(part.space.dofmap.index_map.size_local * self._dim)
-        one[a :: self._dim] = 1
-        unit.array[:] = part.into_body(one)
-        K.multTranspose(unit, forces)
-        found = forces.array_r.real.copy()
-        for vector in (unit, forces):
-            vector.destroy()
         return found

@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver import complementarity
-from hypergap_dolfinx.contact_solver.active_set import Guesses
+from hypergap_dolfinx.contact_solver.complementarity import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent, NotPositive
 from hypergap_dolfinx.contact_solver.tangent import Tangent

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.hierarchy import nest
-from hypergap_dolfinx.contact_solver.active_set import Guesses
+from hypergap_dolfinx.contact_solver.complementarity import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tangent import StackedNumbering
 from hypergap_dolfinx.contact_solver.tolerances import (

@@ -20,7 +20,7 @@ from hypergap_dolfinx.algebra import saddle
 from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.pattern import Pattern
 from hypergap_dolfinx.algebra.tolerances import BACKWARD
-from hypergap_dolfinx.contact_solver.active_set import Guesses
+from hypergap_dolfinx.contact_solver.complementarity import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.tolerances import (
     GUESSED,

@@ -18,7 +18,7 @@ from dolfinx.mesh import exterior_facet_indices
 from hypergap_dolfinx import Contact
 from hypergap_dolfinx.contact_geometry import rays
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
-from hypergap_dolfinx.contact_solver import active_set
+from hypergap_dolfinx.contact_solver import complementarity
 from hypergap_dolfinx.errors import InterfaceError, SolveError
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
@@ -347,11 +347,11 @@ def test_holding():
     holds = np.column_stack((np.ones(5), x))
     distance = np.array([0.5, 0.2, 0.1, 0.3, 0.4])
     valid, none = np.ones(5, dtype=bool), np.zeros(5, dtype=bool)
-    on, free = active_set.holding(none, distance, valid, holds)
+    on, free = complementarity.holding(none, distance, valid, holds)
     assert np.flatnonzero(on).tolist() == [1, 2] and free == 0
-    on, free = active_set.holding(np.arange(5) == 4, distance, valid, holds)
+    on, free = complementarity.holding(np.arange(5) == 4, distance, valid, holds)
     assert np.flatnonzero(on).tolist() == [2, 4] and free == 0
-    on, free = active_set.holding(none, distance, valid, holds, [[1.0, 0.0]])
+    on, free = complementarity.holding(none, distance, valid, holds, [[1.0, 0.0]])
     assert np.flatnonzero(on).tolist() == [1] and free == 0
-    on, free = active_set.holding(none, distance, np.arange(5) == 3, holds)
+    on, free = complementarity.holding(none, distance, np.arange(5) == 3, holds)
     assert np.flatnonzero(on).tolist() == [3] and free == 1
