@@ -111,6 +111,31 @@ Nearest nearest_of(const Body *body, const double *point, int facet)
   return found;
 }
 
+// Shares of the corners of the nearest triangle in the place that is nearest.
+static void find_shares(const Nearest *found, double *shares)
+{
+  const double *x = found->body->x + 9 * found->triangle;
+  double e[3][3], d[3][3], n[3], w[3];
+  for (int k = 0; k < 3; ++k)
+  {
+    minus(x + 3 * ((k + 1) % 3), x + 3 * k, e[k]);
+    minus(found->point, x + 3 * k, d[k]);
+    shares[k] = 0;
+  }
+  cross(e[0], e[1], n);
+  int a = found->corners[0], b = found->corners[1];
+  for (int k = 0; k < 3 && a < 0; ++k)
+  {
+    cross(e[k], d[k], w);
+    shares[(k + 2) % 3] = dot(w, n) / dot(n, n);
+  }
+  if (a >= 0)
+  { // the ends of an edge, or one corner twice
+    shares[b] = a == b ? 1 : dot(d[a], e[a]) / dot(e[a], e[a]);
+    shares[a] = 1 - (a == b ? 0 : shares[b]);
+  }
+}
+
 // Depths of points in the body whose surface triangles are, negative outside.
 //
 // x       corners, counterclockwise from outside, (num_triangles, 3, 3)
@@ -118,13 +143,23 @@ Nearest nearest_of(const Body *body, const double *point, int facet)
 // own     which facets of Γ0 count, NULL: all
 // points  (num, 3)
 // facets  of Γ1, on which they are, (num)
+// nearest the triangle nearest to each, (num), or NULL
+// shares  of its corners in the nearest place, (num, 3)
 int find_depths(int num_triangles, const double *x, const int *order, int triangles_a_facet,
-                const Own *own, int num, const double *points, const int *facets, double *depths)
+                const Own *own, int num, const double *points, const int *facets, double *depths,
+                int *nearest, double *shares)
 {
   Body body = {num_triangles, x, order, triangles_a_facet, own, NULL};
   int can = open_body(&body);
   for (int p = 0; can && p < num; ++p)
-    depths[p] = depth_by(nearest_of(&body, points + 3 * p, facets[p]));
+  {
+    Nearest found = nearest_of(&body, points + 3 * p, facets[p]);
+    depths[p] = depth_by(found);
+    if (!nearest)
+      continue;
+    nearest[p] = found.triangle;
+    find_shares(&found, shares + 3 * p);
+  }
   free(body.balls);
   return can ? DONE : NO_MEMORY;
 }

@@ -95,7 +95,8 @@ int find_pieces(const Facets *sides, const int *order, const double *normals, co
                 const double *reach, const double *parts, double leans, double sliver, double last,
                 Pieces *pieces);
 int find_depths(int num_triangles, const double *x, const int *order, int triangles_a_facet,
-                const Own *own, int num, const double *points, const int *facets, double *depths);
+                const Own *own, int num, const double *points, const int *facets, double *depths,
+                int *nearest, double *shares);
 void cast_columns(const Facets *sides, const double *tangents, int steps, double last,
                   const int *f0, const int *f1, const double *X, Rays *rays);
 void polygon_rule(int num, int num_corners, const double *X, int num_points, const double *points,

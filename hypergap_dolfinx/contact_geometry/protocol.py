@@ -218,6 +218,7 @@ class Segments(ABC):
         """
         return self._at(u).force_slopes(p)
 
+    @abstractmethod
     def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Largest distance and largest overlap of the sides within each vertex's part of Γ1.
 
@@ -230,7 +231,6 @@ class Segments(ABC):
         Returns:
             All three, ``(3, num_multipliers)``; 0 where they are shorter, or not known.
         """
-        return np.zeros((3, self.num_multipliers))
 
     def smoothed(self, u: Displacements, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pressures for plots: the force of p, with less scatter between nodes.

@@ -59,6 +59,7 @@ entries_first = 1_000_000  # of a matrix: memory that isn't written to costs not
 class BodyTriangles:
     """Triangles of a surface, for depths in its body."""
 
+    surface: Surface
     corners: npt.NDArray[np.float64]
     """``(num_triangles, 3, 3)``."""
     at: npt.NDArray[np.float64]
@@ -67,29 +68,91 @@ class BodyTriangles:
     """Facets that count for a surface's own points; None: all."""
 
     @classmethod
-    def of(cls, surface: Surface, own: OwnPairs | None = None) -> "BodyTriangles":
-        """That of a surface; curved facets are taken as triangles between their nodes."""
-        points, triangles = _lattice(surface.geometry.cell_type, surface.geometry.degree)
+    def of(cls, surface: Surface, own: OwnPairs | None = None, cuts: int = 1) -> "BodyTriangles":
+        """That of a surface; curved facets are taken as triangles between their nodes.
+
+        Args:
+            surface: The surface.
+            own: The attribute.
+            cuts: Parts into which edges between nodes are cut.
+        """
+        points, triangles = _lattice(surface.geometry.cell_type, cuts * surface.geometry.degree)
         corners = (tabulate(surface.geometry, points) @ surface.nodes)[:, triangles]
-        return cls(corners.reshape(-1, 3, 3), points[triangles], own)
+        return cls(surface, corners.reshape(-1, 3, 3), points[triangles], own)
 
     @cached_property
     def order(self) -> npt.NDArray[np.int32]:
         """Triangles along a curve that fills space."""
         return ints(along_curve(self.corners.mean(axis=1)))
 
-    def depths(self, x: npt.NDArray[np.float64], facet) -> npt.NDArray[np.float64]:
+    def depths(self, x: npt.NDArray[np.float64], facet, *feet) -> npt.NDArray[np.float64]:
         """Depths of points by the nearest triangle, negative outside, ``(num,)``.
 
         Args:
             x: ``(num, 3)``.
             facet: The facet of Γ1 on which each is, ``(num,)``.
+            *feet: Where to write the triangles and the shares of their corners in nearest places.
         """
         depths, own = np.empty(len(x)), self.own and self.own.in_c
         given = len(self.corners), doubles(self.corners), self.order, len(self.at), own
-        if call("find_depths", *given, len(x), doubles(x), ints(facet), depths):
+        points = len(x), doubles(x), ints(facet), depths
+        if call("find_depths", *given, *points, *(feet or (None, None))):
             raise MemoryError("no memory for the depths of points")
         return depths
+
+    def feet(self, x: npt.NDArray[np.float64]) -> "Feet":
+        """Places nearest to points of another surface, ``(num, 3)``."""
+        found = np.empty(len(x), np.int32), np.empty((len(x), 3))
+        return Feet(self, self.depths(x, np.zeros(len(x)), *found), *found)
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Places of a surface that are nearest to points."""
+
+    body: BodyTriangles
+    depths: npt.NDArray[np.float64]
+    """Depths of the points in the body, ``(num,)``."""
+    triangle: npt.NDArray[np.int32]
+    """``(num,)``."""
+    shares: npt.NDArray[np.float64]
+    """Shares of its corners, ``(num, 3)``."""
+
+    def some(self, some) -> "Feet":
+        """Subset, by numbers or a mask."""
+        return Feet(self.body, self.depths[some], self.triangle[some], self.shares[some])
+
+    @property
+    def facet(self) -> npt.NDArray[np.intp]:
+        """Facet of each, ``(num,)``."""
+        return (self.triangle // len(self.body.at)).astype(np.intp)
+
+    @property
+    def x(self) -> npt.NDArray[np.float64]:
+        """The places, ``(num, 3)``."""
+        return np.einsum("pc,pci->pi", self.shares, self.body.corners[self.triangle])
+
+    @property
+    def X(self) -> npt.NDArray[np.float64]:
+        """Their reference coordinates, ``(num, 2)``."""
+        at = self.body.at[self.triangle % len(self.body.at)]
+        return np.einsum("pc,pci->pi", self.shares, at)
+
+    @property
+    def at_end(self) -> npt.NDArray[np.bool_]:
+        """Mask of those where the surface ends: nothing is known of points there, ``(num,)``."""
+        surface = self.body.surface
+        corners = reference_corners(surface.geometry.cell_type)
+        along = np.roll(corners, -1, axis=0) - corners
+        apart = self.X[:, None] - corners
+        across = along[:, 0] * apart[..., 1] - along[:, 1] * apart[..., 0]
+        on = across <= ROUND_OFF_FACET
+        ends = np.zeros(len(surface.x), dtype=bool)
+        for k in (0, 1):
+            ends[np.roll(surface.polygons, -k, axis=1)[surface.is_outline]] = True
+        corner = on & np.roll(on, 1, axis=1)
+        facet = self.facet
+        return (on & surface.is_outline[facet] | corner & ends[surface.polygons[facet]]).any(axis=1)
 
 
 def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[np.float64]:

@@ -37,10 +37,14 @@ from hypergap_dolfinx.contact_geometry.opposite import (
     OwnPairs,
     find_pieces,
     parts_of,
+    reference_corners,
 )
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
+from hypergap_dolfinx.contact_geometry.tolerances import ROUND_OFF_FACET
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
+from hypergap_dolfinx.surface.tolerances import FACING_COSINE
+from hypergap_dolfinx.surface.trace import Surface
 
 Floats = npt.NDArray[np.float64]
 
@@ -287,11 +291,56 @@ class SpaceSegments(Segments):
         """Facets of one surface that meet each other."""
         return OwnPairs.of(self.sides[0].rest) if self.itself else None
 
+    @cached_property
+    def _samples(self) -> list[tuple[npt.NDArray[np.intp], Floats]]:
+        """Facets and coordinates in them of vertices and of middles of edges and facets."""
+        found = []
+        for side in self.sides:
+            surface = side.reference
+            corners = reference_corners(surface.geometry.cell_type)
+            X = np.vstack((corners, (corners + np.roll(corners, -1, axis=0)) / 2))
+            X = np.vstack((X, corners.mean(axis=0)))
+            edges = len(surface.x) + surface.edge_numbers
+            own = edges.max(initial=0) + 1 + np.arange(len(edges))
+            _, first = np.unique(np.column_stack((surface.polygons, edges, own)), return_index=True)
+            facets, k = np.divmod(first, len(X))
+            found.append((facets, X[k]))
+        return found
+
     @override
     def _find(self, u: Displacements) -> SpaceColumns:
         found = SpaceColumns.between(self.sides, u, self._own)
         if found is None or not len(found.shown[1]):
             raise self._faces_nothing(u)
+        return found
+
+    @override
+    def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        far, deep, _ = found = np.zeros((3, self.num_multipliers))
+        if self.itself:  # a place nearest to a surface is its own
+            return found
+        surfaces = displaced(self.sides, u)
+        bodies = [BodyTriangles.of(s, cuts=min(s.geometry.degree, 2)) for s in surfaces]
+        for side, body in enumerate(bodies):
+            facets, X = self._samples[side]
+            x, other = surfaces[side].points(facets, X), surfaces[1 - side].nodes
+            reach = surfaces[1].size.max()
+            low, high = other.min(axis=(0, 1)) - reach, other.max(axis=(0, 1)) + reach
+            near = np.flatnonzero(((low <= x) & (x <= high)).all(axis=1))
+            facets, X = facets[near], X[near]
+            feet = bodies[1 - side].feet(x[near])
+            on = np.flatnonzero(np.abs(feet.depths) > least.min())
+            on = on[~feet.some(on).at_end]  # beyond an end nothing is known
+            if side == 1:
+                f0, f1 = feet.facet[on], facets[on]
+                cos = np.einsum("pi,pi->p", surfaces[0].normals[f0], surfaces[1].normals[f1])
+                faces = on[cos <= FACING_COSINE]
+                _raise(far, surfaces[1], facets[faces], X[faces], -feet.depths[faces])
+            on = on[feet.depths[on] > 0]  # in both bodies, if the way out starts in the own one
+            on = on[body.feet(feet.some(on).x).depths > 0]
+            feet = feet.some(on)
+            at = (facets[on], X[on]) if side == 1 else (feet.facet, feet.X)
+            _raise(deep, surfaces[1], *at, feet.depths)
         return found
 
     @override
@@ -317,6 +366,22 @@ class SpaceSegments(Segments):
             gap=columns.shown[1][cell],
             pressure=p[vertex[cell]],
         )
+
+
+def _raise(values: Floats, surface: Surface, facets, X, given: Floats):
+    """Raise values of a surface's vertices to those given at points in their parts of facets.
+
+    Args:
+        values: ``(num_vertices,)``.
+        surface: Γ1.
+        facets: ``(num,)``.
+        X: Reference coordinates, ``(num, 2)``.
+        given: ``(num,)``.
+    """
+    apart = X[:, None] - reference_corners(surface.geometry.cell_type)
+    apart = np.einsum("pki,pki->pk", apart, apart)
+    point, k = np.nonzero(apart <= apart.min(axis=1, keepdims=True) + ROUND_OFF_FACET)
+    np.maximum.at(values, surface.polygons[facets[point], k], given[point])
 
 
 def _cast(frames: Frames, pieces: FacetPieces):

@@ -198,6 +198,52 @@ def test_walls_beside_a_punch(depth):
     close(found[1], found[0], 1e-9)
 
 
+@pytest.mark.ranks(2)
+def test_overlap_of_a_corner(caplog):
+    """A pyramid inside a facet, whose vertices have positive mean gaps: told without a pressure."""
+    F, u, bcs, sides = [], [], [], []
+    for i, n in enumerate(((4, 4, 2), (3, 3, 1))):
+
+        def place(s, i=i):
+            x = 3 * s - (1.5, 1.5, 0)
+            peak = 2.5 - np.abs(x[:, :2]).max(axis=1)
+            x[:, 2] = s[:, 2] + 0.01 if i else s[:, 2] * peak - 2.5
+            return x
+
+        mesh, ft = meshes.block(comm, n, place, cell="hexahedron")
+        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        body = Elastic.on(V)
+        away = fem.locate_dofs_topological(V, 2, ft.find((meshes.BACK, meshes.FRONT)[i]))
+        bcs.append(fem.dirichletbc(default_scalar_type((0, 0, -0.61 * i)), away, V))
+        F.append(body.F)
+        u.append(body.u)
+        sides.append((V, ft.find((meshes.FRONT, meshes.BACK)[i])))
+    contact = Contact(*sides)
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    with caplog.at_level("WARNING", logger="hypergap_dolfinx"):
+        problem.solve()
+        problem.solve()
+    assert not contact.active.any()
+    told = [record.message for record in caplog.records if "overlap" in record.message]
+    assert len(told) == (comm.rank == 0)
+    assert all("surfaces overlap by 0.6 facets" in message for message in told), told
+
+
+@pytest.mark.ranks(2)
+def test_depths_and_distances():
+    """Where surfaces overlap, are apart, and where one ends: nothing is known beyond."""
+    for gap in (-0.04, 0.03):
+        two = sides((lambda x, y: 0 * x, lambda x, y, gap=gap: gap + 0 * x), offset=0.4)
+        u = at_rest(two)
+        segments = SpaceSegments.between(two, u)
+        x = two[1].reference.x
+        far, deep, _ = segments.reaches(u, np.full(len(x), 1e-3))
+        inside, outside = (x[:, :2] < 0.95).all(axis=1), (x[:, :2] > 1.2).any(axis=1)
+        close(np.maximum(far, deep)[inside], np.full(inside.sum(), abs(gap)), 1e-12)
+        assert not far[outside].any() and not deep[outside].any()
+        assert not (deep if gap > 0 else far).any()
+
+
 def sides(heights, h=(0.25, 0.17), degree=1, offset=0.0):
     """Two surfaces, each from 0 to 1 but for the second one's offset; heights tell both."""
     found = []
