@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Working sets: guesses, small complementarity problems, and what holds free bodies."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS, PIVOT, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import CLOSED_GAP, HOLDS, PIVOT, STEPS, TRIALS
 
 Array = npt.NDArray[np.float64]
 
@@ -160,6 +161,35 @@ def num_free(holds) -> int:
     """Number of motions that no row holds; ``holds`` is ``(num, num_free)``."""
     num = holds.shape[1]
     return num - len(_extended(np.empty((0, num)), _unit(holds))[0])
+
+
+def is_too_much(load: Array, pushes: Callable[[Array], Array]) -> bool:
+    """True if no pressures, with friction, balance a load on free motions.
+
+    Of all forces on these motions, those nearest to the load are found. What they leave of it is a
+    motion on which the load does work and no contact forces do. They are sums of few pushes: those
+    that do work on what others leave join these.
+
+    Args:
+        load: ``(num_free,)``.
+        pushes: Gives forces on the motions by a unit of each pressure, and by the friction that
+            does most work on a motion, ``(num, num_free)``.
+    """
+    load = load / max(float(np.linalg.norm(load)), np.finfo(float).tiny)
+    left, used, forces, eps = load, np.empty((0, len(load))), np.ones(1), np.finfo(float).eps
+    for _ in range(STEPS):
+        if left @ load <= eps:
+            break
+        rows = _unit(pushes(left))
+        work = rows @ left
+        if 2 * forces.sum() * max(work.max(), eps) <= left @ load:  # no forces do as much work
+            return True
+        most = np.argsort(-work, kind="stable")[: len(load)]
+        used = np.vstack((used, rows[most[work[most] > eps]]))
+        forces, _ = solved(used @ used.T, -used @ load, np.full(len(used), eps))
+        used, forces = used[forces > 0], forces[forces > 0]
+        left = load - forces @ used
+    return False
 
 
 def _unit(rows) -> npt.NDArray[np.float64]:

@@ -863,6 +863,18 @@ class ContactRows:
         """C applied to what :meth:`moved` gives, over areas, ``(num_multipliers, num)``."""
         return self._over_areas(self.C.products(moves, len(self.m))).T
 
+    def pushes(self, moves: npt.NDArray[np.float64], motion: npt.NDArray[np.float64]):
+        """Forces on motions by pressures, and by friction that does most work on one of them.
+
+        Args:
+            moves: What :meth:`moved` gives.
+            motion: ``(num,)``.
+
+        Returns:
+            ``(num_multipliers, num)``, zero without a multiplier.
+        """
+        return self.C.products(moves, len(self.m)).T * self.valid[:, None]
+
     @property
     def acting(self) -> tuple[Sparse, npt.NDArray[np.float64]]:
         """Forces at both sides' dofs by multipliers, and the multipliers, 0 where inactive."""

@@ -84,7 +84,8 @@ class ContactSystem(NonlinearSystem):
            next are reversed by its end ────────→ it is shortened to where they vanish
            STEPS steps, the last one of no use ─→ the load step fails
            it fails ────────────────────────────→ once more as the last one goes on; then halved
-           no solution, PATIENCE times in a row → it fails: a body leaves
+           no solution, PATIENCE times in a row → it fails: a body leaves; at once where no contact
+           forces balance its load, in no step (:func:`~.complementarity.is_too_much`)
 
     The iteration ends after a step (or at the start, if the residual is round-off) when both hold:
 
@@ -515,7 +516,8 @@ class ContactSystem(NonlinearSystem):
             again = self._solution(solve)
             found = again if again.is_solved else found
         self._num_rays = self._num_rays + 1 if found.leaves else 0
-        if not found.is_solved or self._num_rays == PATIENCE:
+        no_more = self._num_rays == PATIENCE or (found.leaves and self._is_too_much())
+        if not found.is_solved or no_more:
             raise SolveError(self._unsolved(found))
         self._check_turns(found.changes)
         for rows, *solution in zip(self._rows, found.y, found.f, found.changed, strict=True):
@@ -584,6 +586,24 @@ class ContactSystem(NonlinearSystem):
                     f"{' nor friction' * bool(self._frictional)} nor springs balance its torque; "
                     "hold it by held=."
                 )
+
+    def _is_too_much(self) -> bool:
+        """True if no contact forces balance the load on free motions, in no step. Collective.
+
+        With small sliding and linear forms all steps have the same motions, rows and load.
+        """
+        changes = any(pair.contact.geometry.follows for pair in self._pairs)
+        changes |= any(of.on_u for of in self._depends) or self._hooks.has("before_step")
+        if changes or self._points:
+            return False
+        assert self._free is not None
+        modes = [self._free.at(i, 0 * part) for i, part in enumerate(self._owned())]
+        moves = [rows.moved(modes) for rows in self._rows]
+
+        def pushes(motion):
+            return np.vstack([of.pushes(part, motion) for of, part in zip(self._rows, moves)])
+
+        return complementarity.is_too_much(self._load(modes), pushes)
 
     def _nearness(self) -> float:
         """Share of the bodies' diagonal with which free motions go a facet's size. Collective.

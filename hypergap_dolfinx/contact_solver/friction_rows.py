@@ -267,6 +267,15 @@ class FrictionRows(ContactRows):
         rows = self.T.products(moves, (self._n - 1) * len(self.g))
         return self._over_own(rows.reshape(len(moves), -1, len(self.g))).T
 
+    def pushes(self, moves, motion):
+        """The same."""
+        across = self.holds_across(moves)
+        slips = across @ motion
+        ways = slips / np.maximum(lengths(slips), np.finfo(float).tiny)[:, None]
+        friction = np.einsum("a,ak,akm->ma", self.mu, ways, across)
+        of_pressures = self._bears.T.products(np.ascontiguousarray(friction), len(self.g)).T
+        return super().pushes(moves, motion) + of_pressures * self.valid[:, None]
+
     # The linearised contact problem
 
     def start_set(self, stiffness: float, zero: float, *, touches: bool = True):

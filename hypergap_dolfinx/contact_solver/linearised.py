@@ -271,7 +271,8 @@ class LinearisedContact:
         """The unknowns with friction, zero and False if none are found.
 
         If Newton's method fails, it is repeated with a compliance of the rows that falls to zero.
-        With a large one there is one solution, multipliers of zero. Gaps have the round-off of the
+        With a large one there is one solution, multipliers of zero, but where a load acts on a body
+        that nothing else holds: there the path may not begin. Gaps have the round-off of the
         compliance times A. A step of the path that fails is halved.
         """
         own, (watched, vertices) = slice(len(of)), self._vertices(of)
@@ -280,6 +281,7 @@ class LinearisedContact:
         if found is not None:
             return found, True
         z, power, step, failures = np.linalg.lstsq(A, -f0, rcond=PIVOT)[0], -1.0, 1.0, 0
+        begins = bool(np.linalg.norm(f0 + A @ z) <= PIVOT * np.linalg.norm(f0))
         while failures < TRIALS:
             share = give * SHORTENED**power if power < 2 * TRIALS else 0.0
             zero = 1 + share * np.abs(A).max()
@@ -287,11 +289,13 @@ class LinearisedContact:
             soft[own] += share * f0
             by_z[own] += share * A
             found = self._newton(soft, f0, A, by_z, vertices, z, zero)
+            if found is None and not begins:
+                break
             if found is None:
                 step, failures = step / 2, failures + 1
                 power -= step
             elif share:
-                z, power = found, power + step
+                z, power, begins = found, power + step, True
             else:
                 return found, True
         return np.zeros(len(of)), False

@@ -355,3 +355,29 @@ def test_holding():
     assert np.flatnonzero(on).tolist() == [1] and free == 0
     on, free = complementarity.holding(none, distance, np.arange(5) == 3, holds)
     assert np.flatnonzero(on).tolist() == [3] and free == 1
+
+
+def test_is_too_much():
+    """Loads in the cones of friction of several points, just outside, and away from all forces."""
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        x, mu = rng.normal(size=(6, 3)) * (1, 1, 0), 0.2 + rng.random(6)
+        # Forces on a flat body's six motions, along each axis at each point
+        rows = np.stack([np.hstack((0 * x + e, np.cross(x, e))) for e in np.eye(3)[[2, 0, 1]]])
+
+        def pushes(motion, rows=rows, mu=mu):
+            slips = rows[1:] @ motion
+            ways = mu * slips / np.maximum(np.linalg.norm(slips, axis=0), 1e-300)
+            return rows[0] + np.einsum("ka,kam->am", ways, rows[1:])
+
+        p, q = rng.random(6), rng.normal(size=(2, 6))
+        q *= 0.9 * mu * p / np.linalg.norm(q, axis=0)
+        assert not complementarity.is_too_much(
+            p @ rows[0] + np.einsum("ka,kam->m", q, rows[1:]), pushes
+        )
+        assert complementarity.is_too_much(-p @ rows[0], pushes)
+        mu[:] = mu[0]  # all of it slides along the first axis
+        for share in (1 - 1e-6, 1 + 1e-6):
+            push = np.einsum("a,am->m", share * mu * p, rows[1])
+            assert complementarity.is_too_much(p @ rows[0] + push, pushes) == (share > 1)
+    assert not complementarity.is_too_much(np.zeros(6), pushes)

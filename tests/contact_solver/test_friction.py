@@ -624,12 +624,12 @@ def test_steps_that_converge_go_on(monkeypatch):
 
 
 def test_sliding_is_told_soon(monkeypatch):
-    """A small problem whose equations are singular in all states isn't searched at random."""
+    """Where no forces balance a load, no small problem and no further step searches for any."""
     counts, solution = [], complementarity.solution
     monkeypatch.setattr(complementarity, "solution", lambda *M: counts.append(0) or solution(*M))
     demo = runpy.run_path(str(Path(__file__).parents[2] / "demos" / "friction.py"))
     assert demo["block"](comm, 1, 2)["told"]
-    assert len(counts) < 2000
+    assert len(counts) < 300
 
 
 def test_slides_off():
