@@ -26,11 +26,11 @@ without 4.0. Structured blocks in space: with 1e-9 vertices join that are open b
 160 scenes has no equilibrium."""
 
 STEPS = 25
-"""Newton steps after which a load step is halved, and most of them in its small problem with
-friction.
+"""Newton steps after which a load step is halved, most of them in its small problem with friction,
+and rounds of the search for forces that balance a load.
 Measured: Hertz up to 8, ironing up to 8; small problems 17 in both load steps of the bolted
 assembly, at most 6 in 127 tests of contact_solver; 60 changes nothing there but seconds, where
-there is no solution."""
+there is no solution; 1 to 6 rounds for 1600 loads on random sets of points."""
 
 CLOSED_GAP = 1e-9
 """Relative gap treated as zero: in facet sizes, or over the largest gap.
