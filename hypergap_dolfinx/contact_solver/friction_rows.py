@@ -492,7 +492,7 @@ class FrictionRows(ContactRows):
         now, rubs = self.state, self.rubs
         bound, _ = self._bounds(self.pressed)
         presses = bound * self._sizes > nothing
-        rigid, target = self.stuck, bound * now.way
+        rigid, target = rubs & now.sticks, bound * now.way
         if self._soft:
             rigid = np.zeros_like(rubs)
             target = -bound * self._shortened() / self._soft

@@ -147,7 +147,7 @@ class LinearisedContact:
         Raises:
             SolveError: The linear solver failed.
         """
-        num = num_tied + sum(int(part.is_in.sum()) for part in self._rows)
+        num = num_tied + int(self._on.sum())
         stiff = near = 0.0
         for trial in range(TRIALS + 1):
             try:
@@ -385,10 +385,7 @@ class LinearisedContact:
         """Solution of the linear system: displacements, gaps and slips, pressures and tractions."""
         changes, unknowns = self._tangent.solve(right, self._equations, shift=shift, **options)
         root = self._root
-        f = [
-            root * np.where(part.is_in, values, 0)
-            for part, values in zip(self._rows, unknowns, strict=True)
-        ]
+        f = self._split(root * np.where(self._on, np.concatenate(unknowns), 0), self._ends)
         y = np.concatenate([part.new_gaps(changes) for part in self._rows]) + self._given(f)
         return changes, y, np.concatenate(f)
 
