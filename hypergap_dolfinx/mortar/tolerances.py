@@ -70,7 +70,7 @@ profile x⁴, degree 2, a/3 3.7e-2, 4.1e-2, 4.6e-2. Space, with .2, .3, .4: Hert
 8.7e-2, 7.2e-2, 6.4e-2; degree 2, a/2 8.1e-2, 8.1e-2, 8.4e-2; r⁴ likewise 4.8e-1, 4.7e-1, 4.6e-1
 and 3.7e-1, 3.6e-1, 3.6e-1. With gaps' law beyond edges (space, degree 2, a/2), .1, .2, .3:
 Hertz 5.1e-2, 5.0e-2, 5.6e-2, r⁴ 1.4e-1, 1.3e-1, 1.5e-1; 14 random indenters beside meshes two to
-three times as fine, relative to .3: 1.42, 1.00 (up to 1.30), 1."""
+three times as fine, these drawn with .3: 1.42, 1.00 (up to 1.30), 1 times .3's error."""
 
 TOTAL_ROOT = 50.0
 """Weight of a region's total force, relative, beside those of facets' forces.
