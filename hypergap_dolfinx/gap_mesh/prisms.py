@@ -251,25 +251,23 @@ class Prisms:
         Returns:
             The slab's and the room's walls, counterclockwise seen from inside.
         """
-        faces, num = outer_faces(self.cells), _num(self, facets)
+        faces = outer_faces(self.cells)
         quads = np.stack((self.pairs, np.roll(self.pairs, -1, axis=2)), axis=3)
         quads = quads.transpose(0, 2, 1, 3).reshape(-1, 4)  # an edge of Γ0, its twin
-        four = _keys(quads[:, [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]], num)
-        four = four[np.isin(four, _keys(walls, num)).sum(axis=1) == 2]
-        others = walls[~np.isin(_keys(walls, num), four)]
-        walls = np.vstack((others, faces[np.isin(_keys(faces, num), four)]))
-        inner = ~np.isin(_keys(faces, num), _keys(np.vstack((walls, *facets)), num))
-        rest = walls[~np.isin(_keys(walls, num), _keys(faces, num))]
+        four = quads[:, [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]]
+        of_walls = _among(four.reshape(-1, 3), walls).reshape(-1, 4)
+        four = four[of_walls.sum(axis=1) == 2].reshape(-1, 3)
+        others = walls[~_among(walls, four)]
+        walls = np.vstack((others, faces[_among(faces, four)]))
+        inner = ~_among(faces, np.vstack((walls, *facets)))
+        rest = walls[~_among(walls, faces)]
         return walls, np.vstack((rest, faces[inner][:, ::-1]))
 
 
-def _num(prisms: Prisms, facets) -> int:
-    return int(max(part.max(initial=0) for part in (*facets, prisms.pairs))) + 1
-
-
-def _keys(triangles, num: int) -> npt.NDArray[np.int64]:
-    """A number for each triangle, whatever the order of its vertices."""
-    return np.sort(triangles, axis=-1).astype(np.int64) @ (num**2, num, 1)
+def _among(triangles, others) -> npt.NDArray[np.bool_]:
+    """Mask of triangles that are among others, whatever the order of their vertices."""
+    codes = row_codes(np.sort(np.vstack((triangles, others)), axis=1))
+    return np.isin(codes[: len(triangles)], codes[len(triangles) :])
 
 
 def outer_faces(cells) -> npt.NDArray[np.intp]:

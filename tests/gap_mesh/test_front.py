@@ -326,6 +326,10 @@ def test_many_vertices():
     np.testing.assert_array_equal(in_walls(faces[:, :2], walls), (False, True))
     cells = np.array([(0, n + 5, n + 6, n + 7), (n, n + 4, n + 6, n + 7)])
     assert len(single_faces(cells, walls[:0])[0]) == 8
+    n = 1 << 22
+    one = prisms.Prisms(np.empty((0, 2, 3), dtype=np.intp), np.array([(0, n - 3, n - 2, n - 1)]))
+    walls = np.array([(1 << 20, n - 3, n - 2)])
+    assert len(one.walls((one.cells[:, 1:], one.cells[:0, 1:]), walls)[1]) == 4
 
 
 def test_no_cells(monkeypatch):
