@@ -37,8 +37,10 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     LARGE_CONTACT,
     PATIENCE,
     REUSED,
+    ROUND_OFF_FORCES,
     SHORTENED,
     STEPS,
+    TIGHT,
     TRIALS,
 )
 from hypergap_dolfinx.core.collective import spot
@@ -510,6 +512,7 @@ class ContactSystem(NonlinearSystem):
             )
 
         balance = self._balance  # forces of soft bodies balance, too
+        self._tangent.reduction = max(TIGHT * self._rtol, ROUND_OFF_FORCES)
         self._tangent.floor = 0.01 * self._rtol * balance.in_bodies + balance.round_off
         found = self._solution(solve)
         if not found.is_solved and self._leaves_what_touches(start, stiffness):

@@ -30,8 +30,8 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     HOLDS,
     NEARLY_STICKS,
     ROUGH,
+    ROUND_OFF_FORCES,
     STEPS,
-    TIGHT,
 )
 from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal
 from hypergap_dolfinx.errors import SolveError
@@ -193,6 +193,8 @@ class MultigridTangent:
         """True if the last solution is accurate enough only for signs."""
         self.floor = 0.0
         """Force that is a residual of zero."""
+        self.reduction = ROUND_OFF_FORCES
+        """Reduction of the residual in a Newton step."""
         self._equations: list[Linear] | None = None
         self._near, self._states = 0.0, list[int]()
         self._constraints: Constraints | None = None
@@ -337,7 +339,7 @@ class MultigridTangent:
             of.load(loads, u, of.b)
             norm = of.b.norm()
             size = max(size, norm)
-            least = TIGHT * size if alone else max(TIGHT * size, self.floor)
+            least = max(self.reduction * size, 0.0 if alone else self.floor)
             goal = least if accurate else max(ROUGH * norm, least)
             self.is_rough = not accurate and norm > least
             if norm > goal:
