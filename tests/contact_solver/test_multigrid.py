@@ -228,6 +228,13 @@ def test_few_iterations_for_each_set(monkeypatch):
 
 
 @pytest.mark.ranks(2)
+def test_linear_problems_take_one_step():
+    """Multigrid solves as accurately as rtol asks for, as factors do."""
+    scene = Pressed(4, sliding="small", rtol=1e-12, solver="iterative")
+    assert scene.solve(DOWN[1:2]) == [1]
+
+
+@pytest.mark.ranks(2)
 def test_symmetric_with_any_set():
     """Conjugate gradients need a symmetric preconditioner, also when sets have changed."""
     scene = Pressed(7, solver="iterative")
