@@ -26,6 +26,7 @@ from hypergap_dolfinx.contact_solver.predictor import Extrapolation
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.errors import InterfaceError, InvertedCellError, SolveError, UnsolvableError
 from hypergap_dolfinx.interface_laws.coupling import Coupling, motions_of
+from hypergap_dolfinx.interface_laws.given_values import is_read
 from hypergap_dolfinx.interface_laws.reference_point import PointComponent
 from hypergap_dolfinx.interface_laws.rigid_body import RigidBody, RigidBodyMotion
 from hypergap_dolfinx.joining import Joined
@@ -395,7 +396,8 @@ class ContactProblem(ContactSystem):
                 if not changes:
                     raise SolveError(
                         f"contact: {error}{lost} The load step can't be halved: no value has "
-                        "changed since the last one, or since the problem was made (load it then)."
+                        "changed since the last one, or since the problem was made (load it then)"
+                        f"{self._unseen_values()}."
                     ) from error
                 size /= 2
                 self._halvings += 1
@@ -597,22 +599,31 @@ class ContactProblem(ContactSystem):
                     "(Contact.between with stiffness does)."
                 )
 
+    def _unseen_values(self) -> str:
+        """Note on jumps that may have changed without being seen, or nothing."""
+        given = [tie.jump.value for tie in self.ties if tie.jump]
+        if not any(is_read(v) and not isinstance(v, fem.Constant | fem.Function) for v in given):
+            return ""
+        return "; jumps given as functions of x aren't seen: give a fem.Constant or fem.Function"
+
     def _warn_of_chords(self, comm):
-        """Warn of overlaps that are in part the gap between chords of a curved surface."""
+        """Warn of overlaps and clearances beside which the gap between chords counts."""
         for c, contact in enumerate(self._contacts):
             own = gap_of_chords(*contact.geometry.surfaces)
             if not own:
                 continue
             status = contact.geometry.status(self._fresh(c))
-            overlaps = status.gaps[status.gaps < -status.closed]
-            if 2 * len(overlaps) <= status.facing.sum() or own <= -OWN_GAP * overlaps.mean():
+            gaps = status.gaps[status.facing]
+            size = float(np.abs(gaps).mean()) if len(gaps) else np.inf
+            if own <= OWN_GAP * size or size <= status.closed:
                 continue
             if comm.rank == 0:
+                are = "overlap by" if gaps.mean() < 0 else "have gaps of"
                 LOG.warning(
-                    f"contact {c}: its surfaces overlap by {-overlaps.mean():.3g} on average, of "
-                    f"which about {own:.2g} is the gap between chords of a curved surface: "
-                    "pressures are off by that share; curve both meshes (in Gmsh "
-                    "gmsh.model.mesh.setOrder(2)), or take facets as long on both sides."
+                    f"contact {c}: its surfaces {are} {size:.3g} on average, and about {own:.2g} "
+                    "is the gap between chords of a curved surface: pressures are off by that "
+                    "share; curve both meshes (in Gmsh gmsh.model.mesh.setOrder(2)), or take "
+                    "facets as long on both sides."
                 )
 
     def _warn_of_distance(self):

@@ -13,7 +13,7 @@ import dolfinx
 import meshes
 from dolfinx import fem
 from dolfinx.mesh import CellType, GhostMode
-from hypergap_dolfinx import Contact, ContactProblem, Tie
+from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
 
 comm = MPI.COMM_WORLD
 PRESSURE = 0.05
@@ -240,3 +240,19 @@ def test_one_mesh_with_several_contacts():
         assert 2 <= contact.active.sum() < len(order)
     np.testing.assert_allclose(*found, atol=1e-10)
     assert abs(contacts[0].force(problem)[1]) > 1e-3
+
+
+def test_jumps_that_change_unseen(monkeypatch):
+    """Without a value that is known to change, a message names jumps that may have changed."""
+
+    def fails(*_):
+        raise SolveError("it fails.")
+
+    monkeypatch.setattr(ContactProblem, "_newton", fails)
+    for jump, words in ((lambda x: 0 * x[:2], "functions of x aren't seen"), (None, "")):
+        scene = two((2, 3))
+        tie = Tie(*sides(scene, left), jump=jump)
+        problem = scene.problem([Contact(*sides(scene, right))], [tie])
+        with pytest.raises(SolveError, match="no value has changed") as told:
+            problem.solve()
+        assert words in str(told.value) and ("jumps" in str(told.value)) == bool(words)

@@ -370,10 +370,11 @@ def test_bad_input():
 
 @pytest.mark.ranks(2, geometry=[1], delta=[0.004])
 @pytest.mark.parametrize(
-    ("delta", "geometry", "told"), ((0.004, 1, True), (0.1, 1, False), (0.004, 2, False))
+    ("delta", "geometry", "told"),
+    ((0.004, 1, True), (0.1, 1, False), (0.004, 2, False), (-0.004, 1, True), (-0.1, 1, False)),
 )
 def test_gap_between_chords_is_told(delta, geometry, told, caplog):
-    """A ring pressed into another one: chords add to the overlap, and so to the pressure."""
+    """A ring in another one: chords add to the overlap or clearance, and so to the pressure."""
     u, F, bcs, sides = [], [], [], []
     for n, radii, tag in ((16, (1, 2 + delta / 2), meshes.OUTER), (24, (2, 3), meshes.INNER)):
         mesh, ft = meshes.ring_sector(comm, n, 4, *radii, degree=geometry)
