@@ -601,7 +601,7 @@ class ContactProblem(ContactSystem):
 
     def _unseen_values(self) -> str:
         """Note on jumps that may have changed without being seen, or nothing."""
-        given = [tie.jump.value for tie in self.ties if tie.jump]
+        given = [t.jump.value for t in self.ties if isinstance(t, Tie) and t.jump]
         if not any(is_read(v) and not isinstance(v, fem.Constant | fem.Function) for v in given):
             return ""
         return "; jumps given as functions of x aren't seen: give a fem.Constant or fem.Function"
