@@ -51,26 +51,39 @@ class PredictedStress:
     def stiffness(self, F: ufl.Form) -> ufl.Form:
         """Difference that the prediction makes in a residual's derivative, a form.
 
-        The stress S = F⁻¹P is that of the residual alone: P_ij is its integrand for v = e_i x_j,
-        without x_j times that for v = e_i.
+        The stress S = F⁻¹P is that of the residual alone: P_ij is its integrand for ∇v = e_i ⊗ e_j
+        and v = 0. Its points are those of the residual's derivative: F⁻¹ would, by UFL's estimate,
+        take many times as many.
         """
-        u, domain, n = self._u, F.ufl_domain(), len(self._u)
-        v, du, x = (
-            F.arguments()[0],
-            ufl.TrialFunction(u.function_space),
-            ufl.SpatialCoordinate(domain),
-        )
-        found = []
-        for integral in F.integrals_by_type("cell"):
-            units = [ufl.as_vector([float(i == k) for k in range(n)]) for i in range(n)]
-            forces = [ufl.replace(integral.integrand(), {v: e}) for e in units]
-            P = [
-                [ufl.replace(integral.integrand(), {v: x[j] * e}) - x[j] * f for j in range(n)]
-                for e, f in zip(units, forces, strict=True)
-            ]
-            S = ufl.inv(ufl.Identity(n) + ufl.grad(u)) * ufl.as_matrix(P)
+        u, n = self._u, len(self._u)
+        v, du = F.arguments()[0], ufl.TrialFunction(u.function_space)
+        none, found = ufl.zero(n), []
+        e = [ufl.unit_vector(i, n) for i in range(n)]
+        for integral in ufl.algorithms.expand_derivatives(F).integrals_by_type("cell"):
+            forces = integral.integrand()
+            P = ufl.as_matrix(
+                [
+                    [ufl.replace(forces, {ufl.grad(v): ufl.outer(a, b), v: none}) for b in e]
+                    for a in e
+                ]
+            )
+            if P == ufl.zero(n, n):
+                continue
+            S = ufl.inv(ufl.Identity(n) + ufl.grad(u)) * P
             before = ufl.replace(S, {u: self._at})
             change = before + ufl.derivative(before, self._at, self._step) - S
             added = ufl.inner(ufl.grad(du) * change, ufl.grad(v))
-            found.append(integral.reconstruct(integrand=added))
+            points = {"quadrature_degree": _degree(integral, u), **integral.metadata()}
+            found.append(integral.reconstruct(integrand=added, metadata=points))
         return ufl.Form(found)
+
+
+def _degree(integral: ufl.Integral, u: fem.Function) -> int:
+    """UFL's estimate of the degree of an integral's derivative."""
+    form = ufl.algorithms.expand_derivatives(ufl.derivative(ufl.Form([integral]), u))
+    data = ufl.algorithms.compute_form_data(form, do_apply_integral_scaling=True).integral_data
+    return max(
+        int(np.max(part.metadata()["estimated_polynomial_degree"]))
+        for one in data
+        for part in one.integrals
+    )

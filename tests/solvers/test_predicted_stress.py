@@ -53,6 +53,25 @@ def test_stiffness():
     assert size > 0.01 and wanted.norm() < 1e-13 * size
 
 
+@pytest.mark.parametrize("degree", (None, 5))
+def test_quadrature_degree(degree):
+    """As many points as the plain derivative has: by UFL's estimate there were 27 times as many."""
+    mesh, _ = meshes.block(comm, (2, 1, 1), lambda s: s * (2, 1, 0.1), cell="hexahedron")
+    V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    u = fem.Function(V)
+    strain = (ufl.grad(u) + ufl.grad(u).T + ufl.grad(u).T * ufl.grad(u)) / 2
+    F = ufl.derivative(ufl.inner(strain, strain) * ufl.dx(degree=degree), u)
+    added = PredictedStress(u).stiffness(F)
+    data = [
+        ufl.algorithms.compute_form_data(form, do_apply_integral_scaling=True).integral_data
+        for form in (ufl.algorithms.expand_derivatives(ufl.derivative(F, u)), added)
+    ]
+    own, ours = ([i.metadata() for one in of for i in one.integrals] for of in data)
+    wanted = degree or int(np.max(own[0]["estimated_polynomial_degree"]))
+    assert [part["quadrature_degree"] for part in ours] == [wanted]
+    assert degree or wanted < np.max(ours[0]["estimated_polynomial_degree"]) / 2
+
+
 @pytest.mark.ranks(2)
 def test_is_slender():
     """Extent over twice volume over area: strips and rings, each thin and thick."""
