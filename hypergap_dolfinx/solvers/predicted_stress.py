@@ -79,8 +79,9 @@ class PredictedStress:
 
 
 def _degree(integral: ufl.Integral, u: fem.Function) -> int:
-    """UFL's estimate of the degree of an integral's derivative."""
+    """UFL's estimate of the degree of an integral's derivative, or, without u, of its own."""
     form = ufl.algorithms.expand_derivatives(ufl.derivative(ufl.Form([integral]), u))
+    form = ufl.Form([integral]) if form.empty() else form
     data = ufl.algorithms.compute_form_data(form, do_apply_integral_scaling=True).integral_data
     return max(
         int(np.max(part.metadata()["estimated_polynomial_degree"]))

@@ -72,6 +72,18 @@ def test_quadrature_degree(degree):
     assert degree or wanted < np.max(ours[0]["estimated_polynomial_degree"]) / 2
 
 
+def test_stress_without_displacement():
+    """A prestress, whose derivative is zero: its own degree, that of the law stays."""
+    mesh, _ = meshes.block(comm, (2, 1), lambda s: s * (2, 0.1))
+    V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u = fem.Function(V)
+    F = ufl.derivative(ufl.inner(ufl.grad(u), ufl.grad(u)) ** 2 * ufl.dx(degree=5), u)
+    F += fem.Constant(mesh, 1.0) * ufl.div(ufl.TestFunction(V)) * ufl.dx
+    added = PredictedStress(u).stiffness(F)
+    degrees = [part.metadata()["quadrature_degree"] for part in added.integrals()]
+    assert degrees[0] == 5 and 0 < degrees[1] < 5
+
+
 @pytest.mark.ranks(2)
 def test_is_slender():
     """Extent over twice volume over area: strips and rings, each thin and thick."""
