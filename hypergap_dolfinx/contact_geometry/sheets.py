@@ -147,12 +147,11 @@ class Feet:
         apart = self.X[:, None] - corners
         across = along[:, 0] * apart[..., 1] - along[:, 1] * apart[..., 0]
         on = across <= ROUND_OFF_FACET
-        ends = np.zeros(len(surface.x), dtype=bool)
-        for k in (0, 1):
-            ends[np.roll(surface.polygons, -k, axis=1)[surface.is_outline]] = True
         corner = on & np.roll(on, 1, axis=1)
         facet = self.facet
-        return (on & surface.is_outline[facet] | corner & ends[surface.polygons[facet]]).any(axis=1)
+        return (
+            on & surface.is_outline[facet] | corner & surface.at_end[surface.polygons[facet]]
+        ).any(axis=1)
 
 
 def weights_of(frames: Frames, rays: Rays, body: BodyTriangles) -> npt.NDArray[np.float64]:

@@ -20,7 +20,7 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.pattern import Pattern, coupled
 from hypergap_dolfinx.algebra.tolerances import NOTHING
 from hypergap_dolfinx.contact_geometry.protocol import Segments
-from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations, ends
+from hypergap_dolfinx.contact_solver.shared_ends import EndingSide, condensations
 from hypergap_dolfinx.contact_solver.tolerances import (
     CLOSED_GAP,
     EXACT,
@@ -635,18 +635,13 @@ class ContactRows:
         np.add.at(axes, rows, normals)
         axes /= np.maximum(lengths(axes), np.finfo(float).tiny)[:, None]
         cosines = np.einsum("fi,fi->f", normals, axes[rows])
-        np.minimum.at(widest, rows, np.where(self._at_ends[surface.facets[facet, k]], -1, cosines))
+        ends = self.sides[1].reference.at_end[surface.facets[facet, k]]
+        np.minimum.at(widest, rows, np.where(ends, -1, cosines))
         size, along = lengths(forces), np.einsum("ai,ai->a", forces, axes)
         cosines = np.divide(along, size, out=np.ones_like(size), where=size > 0)
         lean = np.maximum(np.arccos(cosines.clip(-1, 1)) - np.arccos(widest.clip(-1, 1)), 0) * size
         mean = lean.sum() / max(size.sum(), np.finfo(float).tiny)
         return float(np.degrees(mean)), int(lean.argmax())
-
-    @cached_property
-    def _at_ends(self) -> npt.NDArray[np.bool_]:
-        """Mask of vertices where Γ1 ends."""
-        surface = self.sides[1].reference
-        return np.isin(np.arange(len(surface.x)), ends(surface))
 
     @property
     def clearance(self) -> npt.NDArray[np.float64]:

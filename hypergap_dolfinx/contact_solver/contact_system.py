@@ -206,7 +206,9 @@ class ContactSystem(NonlinearSystem):
         if solver == "iterative":
             if reason:
                 raise ValueError(f'solver="iterative" is not possible: {reason}; take "direct".')
-            return MultigridTangent(self._system, self._rows, *options, symmetric=symmetric)
+            reduction = max(TIGHT * self._rtol, ROUND_OFF_FORCES)
+            given = self._system, self._rows, *options, reduction
+            return MultigridTangent(*given, symmetric=symmetric)
         found = ways(*options, plane=self._dim == 2, symmetric=symmetric)
         fields = self._fields[: self._num_elastic]
         sizes = len(self._points), self._num_ties
@@ -512,7 +514,6 @@ class ContactSystem(NonlinearSystem):
             )
 
         balance = self._balance  # forces of soft bodies balance, too
-        self._tangent.reduction = max(TIGHT * self._rtol, ROUND_OFF_FORCES)
         self._tangent.floor = 0.01 * self._rtol * balance.in_bodies + balance.round_off
         found = self._solution(solve)
         if not found.is_solved and self._leaves_what_touches(start, stiffness):

@@ -30,7 +30,6 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     HOLDS,
     NEARLY_STICKS,
     ROUGH,
-    ROUND_OFF_FORCES,
     STEPS,
 )
 from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal
@@ -151,6 +150,7 @@ class MultigridTangent:
         rows: Sequence[ContactRows],
         prefix: str,
         options: dict | None,
+        reduction: float,
         *,
         symmetric: bool,
     ):
@@ -161,6 +161,7 @@ class MultigridTangent:
             rows: The contacts.
             prefix: Prefix of the PETSc options.
             options: The user's.
+            reduction: Reduction of the residual in a Newton step.
             symmetric: True if there is no friction.
         """
         # As many iterations as with the ties' three sweeps, each of 3/4 of the seconds
@@ -171,6 +172,7 @@ class MultigridTangent:
         self._made: Projection | None = None
         self._options = Options(prefix, options or {}, defaults, "")
         self._system, self._rows, self._symmetric = system, list(rows), symmetric
+        self._reduction = reduction
         self._comm = system.K[0].comm.tompi4py()
         with self._options.in_use():
             self._ksp = PETSc.KSP().create(system.K[0].comm)
@@ -193,8 +195,6 @@ class MultigridTangent:
         """True if the last solution is accurate enough only for signs."""
         self.floor = 0.0
         """Force that is a residual of zero."""
-        self.reduction = ROUND_OFF_FORCES
-        """Reduction of the residual in a Newton step."""
         self._equations: list[Linear] | None = None
         self._near, self._states = 0.0, list[int]()
         self._constraints: Constraints | None = None
@@ -339,7 +339,7 @@ class MultigridTangent:
             of.load(loads, u, of.b)
             norm = of.b.norm()
             size = max(size, norm)
-            least = max(self.reduction * size, 0.0 if alone else self.floor)
+            least = max(self._reduction * size, 0.0 if alone else self.floor)
             goal = least if accurate else max(ROUGH * norm, least)
             self.is_rough = not accurate and norm > least
             if norm > goal:

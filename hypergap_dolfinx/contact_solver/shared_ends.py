@@ -81,7 +81,7 @@ def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.ND
     along: dict[Hashable, list[tuple[Hashable, npt.NDArray]]] = {}
     for side in (side for sides in contacts for side in sides):
         normals = _vertex_normals(side.surface)
-        for v in ends(side.surface).tolist():
+        for v in np.flatnonzero(side.surface.at_end).tolist():
             if side.is_held(v, normals[v]):
                 places.join(side.node(v), HELD)
     for sides in ties:
@@ -117,18 +117,6 @@ def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
     return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
 
-def _outline(surface: Surface) -> npt.NDArray[np.int32]:
-    """Ends of the boundary's edges, ``(num_edges, 2)``; in the plane vertices, twice each."""
-    start, outline = surface.polygons, surface.is_outline
-    end = start if surface.gdim == 2 else np.roll(start, -1, axis=1)
-    return np.column_stack((start[outline], end[outline]))
-
-
-def ends(surface: Surface) -> npt.NDArray[np.intp]:
-    """Vertices at a surface's boundary."""
-    return np.unique(_outline(surface))
-
-
 def _facing(sides: Ends) -> list[tuple[int, int | None]]:
     """Ends of Γ1, each with the nearer end of the edge of Γ0's boundary that is beside it, or None.
 
@@ -137,10 +125,10 @@ def _facing(sides: Ends) -> list[tuple[int, int | None]]:
     surface0, surface1 = sides[0].surface, sides[1].surface
     size = np.zeros(len(surface1.x))
     np.maximum.at(size, surface1.facets, surface1.size[:, None])
-    edges, found = _outline(surface0), []
+    edges, found = surface0.outline, []
     start, way = surface0.x[edges[:, 0]], np.diff(surface0.x[edges], axis=1)[:, 0]
     square = np.maximum((way**2).sum(axis=1), 1e-300)
-    for v in ends(surface1).tolist():
+    for v in np.flatnonzero(surface1.at_end).tolist():
         off = surface1.x[v] - start
         share = np.clip((off * way).sum(axis=1) / square, 0, 1)
         distance = np.linalg.norm(off - share[:, None] * way, axis=1)

@@ -240,9 +240,8 @@ class Tangent:
         self._last_base: tuple[list[float], npt.NDArray] | None = None
         self._load_step = self.iterations = 0
         self._is_regular = False
-        self.floor = self.reduction = 0.0
-        """Force that is a residual of zero, and the reduction of the residual in a Newton step;
-        factors need neither."""
+        self.floor = 0.0
+        """Force that is a residual of zero; factors don't need it."""
 
     def destroy(self):
         """Destroy the PETSc objects."""

@@ -159,6 +159,20 @@ class Surface:
         return np.bincount(self.edge_numbers.ravel())[self.edge_numbers] == 1
 
     @cached_property
+    def outline(self) -> npt.NDArray[np.int32]:
+        """Ends of the boundary's edges, ``(num_edges, 2)``; in the plane vertices, twice each."""
+        start = self.polygons
+        end = start if self.gdim == 2 else np.roll(start, -1, axis=1)
+        return np.column_stack((start[self.is_outline], end[self.is_outline]))
+
+    @cached_property
+    def at_end(self) -> npt.NDArray[np.bool_]:
+        """Mask of vertices where the surface ends, ``(num_vertices,)``."""
+        found = np.zeros(len(self.x), dtype=bool)
+        found[self.outline] = True
+        return found
+
+    @cached_property
     def polynomials(self) -> dict[str, Any]:
         """Fields of ``Facets`` in ``c/space.h``: facets in space and their basis functions."""
         corners = basix.geometry(self.geometry.cell_type)
@@ -610,11 +624,10 @@ def _off_chords(surface: Surface) -> npt.NDArray[np.float64]:
     for column in facets.T:
         np.add.at(normal, column, share)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), NOISE)
-    ends, pairs = np.zeros(len(x), dtype=bool), [(0, 1)]
     if surface.gdim == 2:
-        ends[facets[surface.is_outline]] = True  # where normals are unknown
+        ends, pairs = surface.at_end, [(0, 1)]  # where normals are unknown
     else:
-        pairs = [*pairwise([*range(facets.shape[1]), 0])]
+        ends, pairs = np.zeros(len(x), dtype=bool), [*pairwise([*range(facets.shape[1]), 0])]
     total = np.zeros(len(facets))
     for i, j in pairs:
         t = x[facets[:, j]] - x[facets[:, i]]
