@@ -884,10 +884,7 @@ def _has_corners(surface: Surface, other: Surface) -> bool:
     order = np.lexsort(other.x.T)  # of equally near vertices the same one on any number of ranks
     points = [np.pad(a, ((0, 0), (0, 3 - surface.gdim))) for a in (x, other.x[order])]
     near = order[nearest(*points)]
-    around = np.zeros_like(other.x)
-    for vertices in other.facets.T:
-        np.add.at(around, vertices, other.normals)
-    n = around[near] / np.maximum(lengths(around[near]), CLOSED_NORMAL)[:, None]
+    n = other.vertex_normals[near]
     least = (COSINES if surface.gdim == 2 else COSINES_SPACE)[0]
     facing = [np.einsum("ci,ci->c", n, own) < -least for own in (n0, n1)]
     half = np.arctan2(lengths(n0 - n1), lengths(n0 + n1))

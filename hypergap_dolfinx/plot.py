@@ -306,11 +306,7 @@ def contact(
         lift = 0.01 * extent  # so that surfaces at one place are drawn one before the other
         scale: Any = {"scalars": "pressure", "cmap": _WARM, "clim": (0, largest)}
         bar: Any = {"lighting": False, "scalar_bar_args": _bar("pressure")}
-        direction = np.zeros_like(surface.x)
-        for corner in surface.facets.T:
-            np.add.at(direction, corner, surface.normals)
-        direction /= np.linalg.norm(direction, axis=1)[:, None]
-        x = surface.x
+        direction, x = surface.vertex_normals, surface.x
         if dim == 3:  # before Γ0's body, also where they overlap
             rows = problem.rows(contact)
             overlap = -(rows.g[rows.state.active] / rows.m[rows.state.active]).min(initial=0)

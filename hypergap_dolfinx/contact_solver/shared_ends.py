@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hypergap_dolfinx.contact_solver.tolerances import SAME_END
 from hypergap_dolfinx.surface.moving import MovingSurface
-from hypergap_dolfinx.surface.trace import Surface, normals_by_area
+from hypergap_dolfinx.surface.trace import Surface
 
 HELD = "held"
 """Common node of everything that can't move."""
@@ -80,7 +80,7 @@ def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.ND
     places = _Places()
     along: dict[Hashable, list[tuple[Hashable, npt.NDArray]]] = {}
     for side in (side for sides in contacts for side in sides):
-        normals = _vertex_normals(side.surface)
+        normals = side.surface.vertex_normals
         for v in np.flatnonzero(side.surface.at_end).tolist():
             if side.is_held(v, normals[v]):
                 places.join(side.node(v), HELD)
@@ -90,7 +90,7 @@ def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.ND
                 places.join(sides[1].node(v1), sides[0].node(v0))
     result = []
     for sides in contacts:
-        normals, lost, found = _vertex_normals(sides[1].surface), [], []
+        normals, lost, found = sides[1].surface.vertex_normals, [], []
         for v1, v0 in _facing(sides):
             node = sides[1].node(v1)
             a = places.find(node)
@@ -108,13 +108,6 @@ def condensations(contacts: Sequence[Ends], ties: Sequence[Ends]) -> list[npt.ND
             along.setdefault(b, []).append((a, normal))
         result.append(_neighbours(sides[1].surface, lost))
     return result
-
-
-def _vertex_normals(surface: Surface) -> npt.NDArray[np.float64]:
-    """Unit normals at the vertices, ``(num_vertices, n)``."""
-    normals = np.zeros_like(surface.x)
-    np.add.at(normals, surface.facets, normals_by_area(surface.x[surface.facets])[:, None])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
 
 def _facing(sides: Ends) -> list[tuple[int, int | None]]:

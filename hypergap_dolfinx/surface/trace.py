@@ -96,6 +96,13 @@ class Surface:
         return unit_normals(self.x[self.facets])
 
     @cached_property
+    def vertex_normals(self) -> npt.NDArray[np.float64]:
+        """Mean of the facets' unit normals at the vertices, normalised, ``(num_vertices, n)``."""
+        total = np.zeros_like(self.x)
+        np.add.at(total, self.facets, self.normals[:, None])
+        return total / np.maximum(lengths(total), np.finfo(float).tiny)[:, None]
+
+    @cached_property
     def straight_nodes(self) -> npt.NDArray[np.float64]:
         """Geometry nodes interpolated from the vertices, shaped as ``nodes``."""
         if len(self.geometry.points) == self.facets.shape[1]:
