@@ -83,9 +83,9 @@ class Contact(Settable):
     Compliant surfaces (a coating, a gasket, asperities) overlap by c p_a: g_a = −c m_a p_a in
     contact, where m_a is the area of vertex a.
 
-    Γ1 should be the side that slides with a corner or an edge, else the coarser one, or the softer
-    one if one side is far softer: :meth:`between` chooses it. Bodies of degree 2 with round
-    surfaces need curved cells.
+    Γ1 should be the side that slides with a corner or an edge, of two such sides the finer one,
+    else the coarser one, or the softer one if one side is far softer: :meth:`between` chooses it.
+    Bodies of degree 2 with round surfaces need curved cells.
 
     Example:
         A block on a wider one, a little above it:
@@ -236,9 +236,9 @@ class Contact(Settable):
         """A contact that chooses its sides. Collective.
 
         Γ1 becomes the softer side if the other is at least a hundred times as stiff; otherwise the
-        side with corners (in space edges that turn by 60° or more) that face the other, if that has
-        none; otherwise the coarser side; if facet sizes differ by less than a tenth, the softer
-        one. :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome.
+        side with corners (in space edges that turn by 60° or more) that face the other, if both
+        have corners the finer one; otherwise the coarser side; if facet sizes differ by less than a
+        tenth, the softer one. :attr:`swapped` and the log of ``hypergap_dolfinx`` tell the outcome.
 
         Args:
             a: One side: a space and facets, as for the constructor.
@@ -265,8 +265,8 @@ class Contact(Settable):
             swapped, why = contrast > 1, "far softer"
         elif corners[0] != corners[1]:
             swapped, why = corners[0], "cornered"
-        elif max(ratio, 1 / ratio) > ALIKE:
-            swapped, why = ratio > 1, "coarser"
+        elif max(ratio, 1 / ratio) > ALIKE:  # corners of Γ0 slide best over small facets
+            swapped, why = (ratio < 1, "finer") if all(corners) else (ratio > 1, "coarser")
         else:
             swapped, why = contrast > 1, "softer" if contrast != 1 else ""
         contact = cls(*((b, a) if swapped else (a, b)), **options)
@@ -817,7 +817,7 @@ class ContactGeometry:
         if self.finer <= FINER * (1 + 1e-9):
             return None
         below, above = self.surfaces
-        if _has_corners(above, below) and not _has_corners(below, above):
+        if _has_corners(above, below):
             return None
         return (
             f"Γ1 is {self.finer:.1f} times finer than Γ0: pressures are less exact than with the "

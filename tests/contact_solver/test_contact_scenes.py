@@ -255,12 +255,12 @@ def wedge_on_block(cells, slope=0.5, bent=0.0):
         (0.5, 0.0, None, True, "the cornered one"),
         (0.05, 0.0, None, False, "the coarser one"),  # hardly a corner
         (-0.5, 0.0, None, False, "the coarser one"),  # a groove
-        (0.5, 0.4, None, False, "the coarser one"),  # both have one
+        (0.5, 0.4, None, True, "the finer one"),  # both have one
         (0.5, 0.0, (1, 100), False, "the far softer one"),
     ),
 )
 def test_side_with_corners(dim, slope, bent, stiffness, wedge, why, caplog):
-    """A side with a corner that faces a smooth one is Γ1, though it is the finer side."""
+    """A side with a corner is Γ1, though it is the finer side; of two with corners the finer."""
     cells = ((4, 2, 2)[:dim], (8, 3, 3)[:dim])
     slope, bent = (dim - 1) * slope, (dim - 1) * bent  # in space edges count from 60° on
     block, cornered = (body[2] for body in wedge_on_block(cells, slope, bent))
