@@ -274,8 +274,8 @@ class ContactRows:
         self.start = self.u
 
     def restore(self, state: NormalState):
-        """Go back to a state that was copied before."""
-        self.state = state.copy()
+        """Go back to a state that was copied before, where laws are linearised at it."""
+        self.state, self._guess = state.copy(), None
 
     @property
     def kept(self) -> dict[str, npt.NDArray]:

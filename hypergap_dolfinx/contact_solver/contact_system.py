@@ -539,10 +539,16 @@ class ContactSystem(NonlinearSystem):
 
     def _solution(self, solve: Callable[[complementarity.Guesses], Solution]) -> Solution:
         """Solution of the linearised problem from the present working sets. Collective."""
-        guesses = self._tangent.guesses()
+        sets, guesses = [rows.state.copy() for rows in self._rows], self._tangent.guesses()
         while True:
             try:
-                found = self._falling_back(lambda: solve(guesses))
+                found = solve(guesses)
+            except IterationFailed as error:  # factors start from the same sets
+                self._fall_back(str(error).removesuffix("."))
+                for rows, state in zip(self._rows, sets, strict=True):
+                    rows.restore(state)
+                guesses = self._tangent.guesses()
+                continue
             except SolveError:
                 # What slips in nearly one direction all but doesn't hold a body: then it sticks
                 if not self._num_free or not any([rows.stick() for rows in self._frictional]):

@@ -193,6 +193,8 @@ class MultigridTangent:
         """Number of iterations in all."""
         self.is_rough = False
         """True if the last solution is accurate enough only for signs."""
+        self._of_columns = 0
+        """Number of iterations for columns of a Newton step."""
         self.floor = 0.0
         """Force that is a residual of zero."""
         self._equations: list[Linear] | None = None
@@ -246,6 +248,7 @@ class MultigridTangent:
 
     def guesses(self) -> Guesses:
         """Rule for guesses of a step's working set: each costs far less than a column."""
+        self._of_columns = 0
         return Guesses(0, STEPS)
 
     def improves(self, num_wrong: int) -> bool:
@@ -302,12 +305,23 @@ class MultigridTangent:
         ]
 
     def responses(self, loads: Sparse, of: npt.NDArray[np.intp]) -> Array:
-        """Solutions for several right-hand sides; as ``Tangent.responses``."""
-        found = np.zeros((len(of), self.num_local))
+        """Solutions for several right-hand sides; as ``Tangent.responses``.
+
+        All of a Newton step, also those with stiffness added, are to take no more iterations than
+        one solve may: factors take a substitution for each. What is left is known by the first.
+        """
+        found, start = np.zeros((len(of), self.num_local)), self.iterations
+        left = self._ksp.max_it - self._of_columns
         for k, number in enumerate(of.tolist()):
             at = loads.i == number
             flat = np.bincount(loads.j[at], loads.values[at], self.num_local).astype(float)
             found[k], _ = self._solved(flat, None, 0.0, True, alone=True)
+            if (self.iterations - start) * len(of) > left * (k + 1):
+                raise IterationFailed(
+                    f"finding a working set would take more than {self._ksp.max_it} iterations "
+                    "(ksp_max_it)"
+                )
+        self._of_columns += self.iterations - start
         return found
 
     def _solved(self, flat: Array, start, size: float, accurate: bool, *, alone=False):
