@@ -20,8 +20,9 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
-from hypergap_dolfinx.contact_solver import contact_system, multigrid_tangent
-from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent
+from hypergap_dolfinx.contact_solver import contact_system, multigrid_tangent, tangent
+from hypergap_dolfinx.contact_solver.linearised import LinearisedContact
+from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.solvers.multigrid import Multigrid
 
@@ -266,6 +267,51 @@ def test_gives_up(caplog, monkeypatch):
     assert all(re.search("DIVERGED_MAX_IT.*mixed spaces", message) for message in told)
     for u, v in zip(scene.u, reference.u, strict=True):
         np.testing.assert_allclose(u.x.array, v.x.array, atol=1e-9)
+
+
+@pytest.mark.ranks(2)
+def test_factors_start_from_the_sets_of_the_step(monkeypatch):
+    """Not from those that multigrid guessed in vain, and without its many guesses."""
+    found, solve = [], LinearisedContact._solve
+
+    def solved(self, right, num, shift, guesses):
+        found.append((type(self._tangent), guesses.least, self._on.copy()))
+        if len(found) == 3:
+            raise IterationFailed("it is given up")
+        return solve(self, right, num, shift, guesses)
+
+    monkeypatch.setattr(LinearisedContact, "_solve", solved)
+    Pressed(4, free=True, solver="iterative").solve((0.01,))
+    (_, _, first), (_, _, guess), _, (kind, least, again) = found[:4]
+    assert (first != guess).any() and kind is Tangent
+    assert (first == again).all() and least == tangent.GUESSED
+
+
+@pytest.mark.ranks(2)
+def test_few_columns(monkeypatch):
+    """Those of a Newton step take no more iterations than a solve may; that they would is seen."""
+    scene = Pressed(4, solver="iterative", petsc_options={"ksp_max_it": 60})
+    scene.solve(DOWN)
+    tangent, rows = scene.problem._tangent, scene.problem.rows(scene.contact)
+    loads = tangent.watch([rows.loads()], [rows.num_unknowns])
+    every = np.flatnonzero(rows.valid)
+
+    def taken(numbers):
+        before = tangent.iterations
+        tangent.responses(loads, numbers)
+        return tangent.iterations - before
+
+    tangent.guesses()
+    of_one, total = taken(every[:1]), 0
+    with pytest.raises(IterationFailed, match=r"more than 60 iterations \(ksp_max_it\)"):
+        for number in every[1:]:
+            total += taken(np.array([number]))
+    assert 60 - 3 * of_one <= total <= 60
+    tangent.guesses()
+    before = tangent.iterations
+    with pytest.raises(IterationFailed, match="would take more"):
+        tangent.responses(loads, every)
+    assert tangent.iterations - before <= 3 * of_one < 60
 
 
 @pytest.mark.ranks(2)
