@@ -526,7 +526,7 @@ class ContactProblem(ContactSystem):
         for rows in found_rows:
             moves = rows.moved(modes)
             every.append(rows.holds(moves)[rows.valid])
-            if isinstance(rows, FrictionRows):
+            if isinstance(rows, FrictionRows) and rows.has_friction:
                 every.append(rows.holds_across(moves)[rows.valid].reshape(-1, self._num_free))
         holds = np.vstack(every)
         if self._strays.num_left(holds):

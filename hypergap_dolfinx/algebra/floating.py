@@ -143,6 +143,7 @@ class RigidBodyDiagnostics:
 
     def unheld(
         self,
+        before: Sequence[npt.NDArray[np.float64]],
         u: Sequence[npt.NDArray[np.float64]],
         holds: npt.NDArray[np.float64],
         num: int,
@@ -151,6 +152,7 @@ class RigidBodyDiagnostics:
         """Message about motions that not even contact holds. Collective.
 
         Args:
+            before: As of :meth:`moving`.
             u: This rank's owned displacements of each body, ``(num_dofs,)``.
             holds: Active rows of contact times the free motions, ``(num_rows, num_free)``.
             num: Number of motions that nothing holds.
@@ -160,7 +162,7 @@ class RigidBodyDiagnostics:
         return (
             f"{num} rigid motion{'s'[: num > 1]} of the bodies {'are' if num > 1 else 'is'} held "
             f"by nothing, not even by contact{slid if friction else ', which has no friction'}: "
-            f"{self.moving(u, holds)}; hold them by {self.remedy}."
+            f"{self.moving(u, holds, before)}; hold them by {self.remedy}."
         )
 
     def _combinations(self, holds) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -174,12 +176,18 @@ class RigidBodyDiagnostics:
         """Number of free motions that rows of contact leave, ``(num_rows, num_free)``."""
         return int((self._combinations(holds)[1] <= MOVES).sum())
 
-    def moving(self, u: Sequence[npt.NDArray[np.float64]], holds: npt.NDArray[np.float64]) -> str:
+    def moving(
+        self,
+        u: Sequence[npt.NDArray[np.float64]],
+        holds: npt.NDArray[np.float64],
+        before: Sequence[npt.NDArray[np.float64]] | None = None,
+    ) -> str:
         """The bodies that nothing holds, and how each moves if that is one motion. Collective.
 
         Args:
             u: This rank's owned displacements of each body, ``(num_dofs,)``.
             holds: Rows of contact times the free motions, ``(num_rows, num_free)``.
+            before: Displacements of the bodies where they are said to be; those by default.
         """
         combinations, values = self._combinations(holds)
         left = combinations[values <= max(MOVES, values[-1])].T
@@ -190,16 +198,18 @@ class RigidBodyDiagnostics:
             if not some.any():
                 continue
             v = f.at_nodes(moving[i][:, some.argmax()])
-            x, v = self._those_that_move(f.nodes(u[i]), v)
+            on = self._moving_nodes(v)
+            x, v = f.nodes(u[i])[on], v[on]
+            if before is not None:
+                x = x - mean(self._comm, [x - f.nodes(before[i])[on]])
             how = f", {in_words(self._comm, x, v)}" if some.sum() == 1 else ""
             messages.append(f"{self._names[i]}, at {spot(mean(self._comm, [x]))}{how}")
         return "; ".join(messages)
 
-    def _those_that_move(self, x, v):
-        """Positions and velocities of a body's nodes in the parts that move. Collective."""
+    def _moving_nodes(self, v) -> npt.NDArray[np.bool_]:
+        """Mask of a body's nodes in the parts that move, by their velocities. Collective."""
         speed = np.linalg.norm(v, axis=1)
-        on = speed > MOVES * self._comm.allreduce(speed.max(initial=0), MPI.MAX)
-        return x[on], v[on]
+        return speed > MOVES * self._comm.allreduce(speed.max(initial=0), MPI.MAX)
 
     def lost(
         self,

@@ -171,6 +171,11 @@ class ContactRows:
         return found
 
     @property
+    def has_friction(self) -> bool:
+        """True if there is friction somewhere at present. Collective."""
+        return False
+
+    @property
     def has_compliance(self) -> bool:
         """True if gaps of closed contact grow with pressures."""
         return self._contact.compliance is not None

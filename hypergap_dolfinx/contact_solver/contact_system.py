@@ -358,6 +358,7 @@ class ContactSystem(NonlinearSystem):
             SolveError: It failed.
         """
         self._assign(self._x)
+        self._began = [part.copy() for part in self._owned()]
         self._tangent.start_step()
         for rows in self._rows:
             rows.start_step()
@@ -593,7 +594,7 @@ class ContactSystem(NonlinearSystem):
             if not turn <= 2 * np.pi:
                 raise SolveError(
                     f"{name} turns by {np.degrees(turn):.3g}° in a Newton step: neither contact"
-                    f"{' nor friction' * bool(self._frictional)} nor springs balance its torque; "
+                    f"{' nor friction' * self._has_friction} nor springs balance its torque; "
                     "hold it by held=."
                 )
 
@@ -652,22 +653,33 @@ class ContactSystem(NonlinearSystem):
         rows, part = self._rows[c], parts[c]
         forces = np.bincount(rows.C.i, np.abs(rows.C.values * rows.state.p[rows.C.i]), len(rows.g))
         k = int(np.abs(part).argmax()) if worst[c] else int(forces.argmax())
-        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k % len(rows.g)]])
+        at = self._place(rows, k)
         gap = max(part.largest_gap for part in self._rows)
         way_out = "; with friction, give (larger) elastic_slip=, or solve without friction first"
         return (
             f"no equilibrium is found: after {step} Newton steps forces are off by "
             f"{self._balance.unbalanced:.2g}, gaps in contact by {gap:.2g}, "
-            f"and contact {c} changes most at {at}{way_out * bool(self._frictional)}."
+            f"and contact {c} changes most at {at}{way_out * self._has_friction}."
         )
+
+    @property
+    def _has_friction(self) -> bool:
+        """True if there is friction anywhere at present. Collective."""
+        return any([rows.has_friction for rows in self._rows])
+
+    @staticmethod
+    def _place(rows: ContactRows, number: int) -> str:
+        """Place of a multiplier at the start of the load step: what fails may be far away."""
+        assert rows.start is not None
+        return spot(rows.sides[1].displaced(rows.start[1]).x[[number % len(rows.g)]])
 
     def _unsolved(self, found: Solution) -> str:
         """Message about a linearised problem without a solution: a body leaves. Collective."""
         pulls = [values[: len(rows.g)] for rows, values in zip(self._rows, found.base, strict=True)]
         c = int(np.argmin([part.min(initial=0) for part in pulls]))
         rows, k = self._rows[c], int(pulls[c].argmin())
-        at = spot(rows.sides[1].displaced(rows.u[1]).x[[k]])
-        if self._num_free and isinstance(rows, FrictionRows):
+        at = self._place(rows, k)
+        if self._num_free and rows.has_friction:
             return (
                 f"the linearised contact problem has no solution: {self._strays.of(rows.bodies)}, "
                 "that nothing else holds, slides, tips or is drawn away; its load may be more than "
@@ -765,7 +777,8 @@ class ContactSystem(NonlinearSystem):
             num_free = complementarity.num_free(np.vstack((holds[active], across())))
         if num_free:
             found = np.vstack((holds[active], across()))
-            raise SolveError(self._strays.unheld(self._owned(), found, num_free, bool(frictional)))
+            now, friction = self._owned(), self._has_friction
+            raise SolveError(self._strays.unheld(self._began, now, found, num_free, friction))
         self._holding = self._acting()
 
     def _of_displacements(self, values: Sequence[npt.NDArray]) -> list[npt.NDArray]:

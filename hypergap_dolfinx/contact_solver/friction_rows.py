@@ -67,6 +67,11 @@ class FrictionRows(ContactRows):
         self._elastic = np.zeros((across, num))  # elastic part of the slip
         self._all_slopes: Sparse | None = None
 
+    @property
+    def has_friction(self) -> bool:
+        """The same, where a coefficient isn't zero."""
+        return bool(self._friction.at_vertices().any())
+
     def start_solve(self):
         """Start a solve: count its dissipation and its slip from zero."""
         super().start_solve()
