@@ -214,8 +214,12 @@ def test_loads():
         free.hold(0, component, meshes.BOTTOM)
     free.load(1, meshes.TOP).value = 0.01
     what = "1 rigid motion of the .* not even by contact, which has no friction"
-    with raises(SolveError, what + r": body 1, at \(.*\), along \(-?1, 0\);"):
-        free.problem([Contact(*faces(free))]).solve()
+    zero = fem.Function(fem.functionspace(free.bodies[1].V.mesh, ("Lagrange", 1)))
+    for friction in (None, fem.Constant(zero.function_space.mesh, 0.0), zero):
+        problem = free.problem([Contact(*faces(free), friction=friction)])
+        with raises(SolveError, what + r": body 1, at \(.*\), along \(-?1, 0\);"):
+            problem.solve()
+        assert "nothing holds body 1" in problem.status()
 
 
 @pytest.mark.ranks(2)
@@ -292,6 +296,24 @@ def test_failed_load_step(monkeypatch, sliding):
         np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-15)
     with raises(SolveError, "can't be halved: no value has changed .* since the problem was made"):
         free.problem([contact]).solve()
+
+
+@pytest.mark.ranks(2, friction=[0.0])
+@pytest.mark.parametrize("friction", (None, 0.0))
+def test_drawn_away(monkeypatch, friction):
+    """The place is that at the load step's start, not on the way; friction of 0 is no cause."""
+    monkeypatch.setattr(contact_problem, "HALVINGS", 1)
+    scene = two()
+    free = Assembly(scene.bodies)
+    for component in (0, 1):
+        free.hold(0, component, meshes.BOTTOM)
+    free.hold(1, 0, meshes.RIGHT)
+    load = free.load(1, meshes.TOP)
+    problem = free.problem([Contact(*faces(free), friction=friction)])
+    load.value = -1.0
+    what = r"; contact would have to pull at \(-?0\.5, 0\): body 1, that nothing else holds, is"
+    with raises(SolveError, what + r" drawn.*Then body 1 at \(0, 0\.5\) had gone by \("):
+        problem.solve()
 
 
 @two_ranks()
