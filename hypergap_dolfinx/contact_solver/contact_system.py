@@ -29,7 +29,11 @@ from hypergap_dolfinx.contact_solver.continuation import Continuation
 from hypergap_dolfinx.contact_solver.force_balance import ForceBalance
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution, largest_change
-from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, MultigridTangent
+from hypergap_dolfinx.contact_solver.multigrid_tangent import (
+    IterationFailed,
+    MultigridTangent,
+    NotPositive,
+)
 from hypergap_dolfinx.contact_solver.predictor import motions_of, prescribed_motions, turns_together
 from hypergap_dolfinx.contact_solver.tangent import Tangent, ways
 from hypergap_dolfinx.contact_solver.tolerances import (
@@ -245,8 +249,43 @@ class ContactSystem(NonlinearSystem):
         try:
             return solve()
         except IterationFailed as error:
-            self._fall_back(str(error).removesuffix("."))
+            self._fall_back(self._why_failed(error))
             return solve()
+
+    def _why_failed(self, error: IterationFailed) -> str:
+        """What is known about a failure of multigrid. Collective."""
+        assert isinstance(self._tangent, MultigridTangent)
+        message = str(error).removesuffix(".")
+        if isinstance(error, NotPositive):
+            return f"{message}: the matrix of a Newton step isn't positive definite"
+        if slides := self._held_by_slip():
+            return f"{message}: nothing but friction that slips holds {slides}"
+        if self._tangent.has_converged:  # so the bodies' stiffness isn't to blame
+            return message
+        return (
+            f"{message}; it is for stiffness that is symmetric and positive definite, "
+            f"{Multigrid.SUITED} (near 0.5 take mixed spaces of displacement and pressure)"
+        )
+
+    def _held_by_slip(self) -> str:
+        """Bodies that the working set holds by friction that slips alone, or nothing. Collective.
+
+        It resists them only by the turning of its directions.
+        """
+        if not self._num_free or not any([rows.slips.any() for rows in self._frictional]):
+            return ""
+        assert self._free is not None
+        modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
+        found = [self._springs(modes)]
+        for rows in self._rows:
+            moves = rows.moved(modes)
+            found.append(rows.holds(moves)[rows.state.active])
+            if isinstance(rows, FrictionRows):
+                stuck = rows.holds_across(moves)[rows.stuck]
+                found.append(stuck.reshape(-1, self._num_free))
+        held = np.vstack(found)
+        left = self._strays.num_left(held)
+        return self._strays.moving(self._owned(), held, self._began) if left else ""
 
     def _fall_back(self, reason: str) -> bool:
         """Take factors in place of multigrid; False if they are taken. Collective."""
@@ -254,11 +293,9 @@ class ContactSystem(NonlinearSystem):
             return False
         if self._comm.rank == 0:
             LOG.warning(
-                'contact: solver="iterative" is given up for "direct": %s; it is for stiffness '
-                'that is symmetric and positive definite, %s; name solver="direct" to save its '
-                "iterations, for ratios near 0.5 with mixed spaces (displacement, pressure).",
+                'contact: solver="iterative" is given up for "direct": %s; name solver="direct" '
+                "to save its iterations.",
                 reason,
-                Multigrid.SUITED,
             )
         iterations = self._tangent.iterations
         self._tangent.destroy()
@@ -545,7 +582,7 @@ class ContactSystem(NonlinearSystem):
             try:
                 found = solve(guesses)
             except IterationFailed as error:  # factors start from the same sets
-                self._fall_back(str(error).removesuffix("."))
+                self._fall_back(self._why_failed(error))
                 for rows, state in zip(self._rows, sets, strict=True):
                     rows.restore(state)
                 guesses = self._tangent.guesses()

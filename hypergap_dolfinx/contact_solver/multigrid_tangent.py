@@ -195,6 +195,8 @@ class MultigridTangent:
         """True if the last solution is accurate enough only for signs."""
         self._of_columns = 0
         """Number of iterations for columns of a Newton step."""
+        self.has_converged = False
+        """True if an accurate solution was found."""
         self.floor = 0.0
         """Force that is a residual of zero."""
         self._equations: list[Linear] | None = None
@@ -365,6 +367,7 @@ class MultigridTangent:
                     raise NotPositive(message)
                 if message:
                     raise IterationFailed(message)
+                self.has_converged |= accurate
                 of.load(loads, u, of.r)
         x, y = u.array_r.real.copy(), of.multipliers.real.copy()
         u.destroy()

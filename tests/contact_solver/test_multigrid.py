@@ -270,6 +270,42 @@ def test_gives_up(caplog, monkeypatch):
 
 
 @pytest.mark.ranks(2)
+def test_why_it_is_given_up(caplog, monkeypatch):
+    """What is known: bodies' stiffness isn't to blame once it has led to a solution."""
+    scene = Pressed(3, solver="iterative")
+    scene.solve(DOWN[:1])
+
+    def fails(*args, **options):
+        raise IterationFailed("it fails.")
+
+    monkeypatch.setattr(MultigridTangent, "solve", fails)
+    with caplog.at_level(logging.WARNING):
+        scene.solve(DOWN[1:])
+    told = [r.getMessage() for r in caplog.records if "given up" in r.getMessage()]
+    text = 'contact: solver="iterative" is given up for "direct": it fails; name solver="direct" to'
+    assert told == [f"{text} save its iterations."] * (comm.rank == 0)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("friction", (0.1, 1.0))
+def test_held_by_friction_that_slips(friction):
+    """A block that is pressed on a stiffer one, and that nothing else holds."""
+    low, low_tags = block((5, 5, 3), (-1, -1, -1), (1, 1, 0))
+    high, tags = block((3, 3, 2), (-0.6, -0.6, 0), (0.5, 0.5, 0.5), 0.01, loaded=True)
+    V = low.u.function_space
+    dofs = fem.locate_dofs_topological(V, 2, low_tags.find(meshes.BACK))
+    bcs = [fem.dirichletbc(np.zeros(3, dtype=default_scalar_type), dofs, V)]
+    upper = high.u.function_space, tags.find(meshes.BACK)
+    contact = Contact((V, low_tags.find(meshes.FRONT)), upper, friction=friction)
+    problem = ContactProblem([low.F, high.F], [low.u, high.u], bcs=bcs, contacts=[contact])
+    high.load.value = 1e-6
+    problem.solve()
+    told = problem._held_by_slip()
+    assert told.startswith("body 1, at (-0.05, -0.05, 0.25)") if friction < 1 else not told
+    assert contact.sticking.any() == (friction == 1)
+
+
+@pytest.mark.ranks(2)
 def test_factors_start_from_the_sets_of_the_step(monkeypatch):
     """Not from those that multigrid guessed in vain, and without its many guesses."""
     found, solve = [], LinearisedContact._solve
