@@ -285,14 +285,10 @@ class FrictionRows(ContactRows):
 
     def start_set(self, stiffness: float, zero: float, *, touches: bool = True):
         """Choose the working set; in it new multipliers stick, unless they have slipped already."""
-        last, slipped = self.rubs, lengths(self.slip.T)
         super().start_set(stiffness, zero, touches=touches)
         now, bears, unit = self.state, self._bears, self._per_unit[0] / self._root
         bears = replace(bears, values=bears.values * unit[bears.j])  # in the units of laws
         self._bears_of_units = bears.some(self._own_areas[bears.i] > 0)
-        come = ~last & (slipped > EXACT * self._size)
-        now.sticks = (now.sticks | ~last) & ~come
-        now.way = np.where(come, -self.slip / np.where(come, slipped, 1), now.way)
         now.q = np.where(self.rubs, now.q, 0)
         if self._soft or self._n > 2:
             every = np.arange(len(self.g))

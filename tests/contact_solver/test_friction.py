@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import test_contact_form as plane
 import test_contact_solids as space
-from assembly import Elastic, rectangle
+from assembly import Elastic, lame_constants, rectangle
 from helpers import close, raises, sweep, two_ranks
 
 import meshes
 import ufl
-from dolfinx import fem, la
+from dolfinx import default_scalar_type, fem, la
 from hypergap_dolfinx import Contact, ContactProblem, SolveError
 from hypergap_dolfinx.contact_geometry import blending
 from hypergap_dolfinx.contact_geometry import space as columns
@@ -856,3 +856,26 @@ def test_touching_without_force():
         problem.solve()
         assert problem.halvings == 0 and problem.iterations <= 20
     assert np.linalg.norm(contact.force(problem)) <= 1e-11
+
+
+@pytest.mark.ranks(2)
+def test_slides_without_force():
+    """What has slipped and has no pressure isn't guessed to stick when it touches again."""
+    bodies = []
+    for n, low, high in (((12, 6), (-1, -1), (1, 0)), ((10, 5), (-0.6, 0), (0.6, 0.6))):
+        body = rectangle(n, low, high)
+        bodies.append((body, Elastic.on(body.V, lame_constants(1.0), large=True)))
+    across = fem.Constant(bodies[1][0].V.mesh, default_scalar_type((0, 0)))
+    none, bcs = np.zeros(2, dtype=default_scalar_type), []
+    for (body, _), tag, value in zip(bodies, (meshes.BOTTOM, meshes.TOP), (none, across)):
+        dofs = fem.locate_dofs_topological(body.V, 1, body.facets(tag))
+        bcs.append(fem.dirichletbc(value, dofs, body.V))
+    tags = meshes.BOTTOM, meshes.TOP
+    sides = [(body.V, body.facets(tag)) for (body, _), tag in zip(bodies[::-1], tags)]
+    contact, u = Contact(*sides, friction=0.8), [elastic.u for _, elastic in bodies]
+    problem = ContactProblem([one.F for _, one in bodies], u, bcs=bcs, contacts=[contact])
+    across.value[0] = 0.1
+    problem.solve()
+    assert problem.halvings == 0 and problem.iterations <= 5  # 3; 15 if it sticks
+    assert np.abs(u[1].x.array.reshape(-1, 2) - (0.1, 0)).max(initial=0) <= 1e-12
+    assert np.abs(u[0].x.array).max(initial=0) <= 1e-12
