@@ -104,17 +104,16 @@ class SurfacePressure:
             state: The contact.
             missed: Root mean square error of facets' forces, relative, of a root that isn't drawn.
         """
-        rooted, inner = _near_free_edges(state)
         s = np.where(state.p > 0, state.p, 0) ** 2
-        steep = rooted[state.surface.facets].any(axis=1)
-        mean, part = _parts(state, steep)
-        falls = np.isin(part, part[state.vertices[inner]])
-        rooted &= (falls & (mean > 0))[state.vertices]  # not in a part that touches without load
-        near = rooted[state.surface.facets].any(axis=1)
-        if rooted.any():
-            fit = _RootFit(state, rooted, near, mean, part)
+        rising, steep, fit = _prepared(state, np.zeros(len(state.surface.facets), dtype=bool))
+        if state.compliance and rising.any():
+            rising, _, trial = _prepared(state, rising)
+            if trial:
+                _, steep, fit = _prepared(state, rising & trial.opens_smoothly(s))
+        near = np.zeros(len(steep), dtype=bool)
+        if fit:
             s = fit.solve(s)
-            near[near] = fit.is_met(s, missed)
+            near[fit.facets] = fit.is_met(s, missed)
         return cls(state.surface, state.p, s, near, steep)
 
     def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
@@ -262,12 +261,36 @@ def _rings(surface: Surface) -> int:
     return RINGS_ROOT[surface.gdim - 2] * surface.num_parts
 
 
-def _near_free_edges(state: ContactState) -> tuple[Mask, Mask]:
+def _prepared(state: ContactState, smooth: Mask) -> "tuple[Mask, Mask, _RootFit | None]":
+    """What there is to fit.
+
+    Args:
+        state: The contact.
+        smooth: Facets with an edge to which gaps say that pressure falls, ``(num_facets,)``.
+
+    Returns:
+        Facets with an edge to which pressures at vertices rise, facets near free edges,
+        ``(num_facets,)`` each, and the fit of a root, if there is one.
+    """
+    rooted, inner, rising = _near_free_edges(state, smooth)
+    steep = rooted[state.surface.facets].any(axis=1)
+    mean, part = _parts(state, steep)
+    falls = np.isin(part, part[state.vertices[inner]])
+    rooted &= (falls & (mean > 0))[state.vertices]  # not in a part that touches without load
+    near = rooted[state.surface.facets].any(axis=1)
+    return rising, steep, _RootFit(state, rooted, near, mean, part) if rooted.any() else None
+
+
+def _near_free_edges(state: ContactState, smooth: Mask | bool = False) -> tuple[Mask, Mask, Mask]:
     """Vertices near free edges of contact.
+
+    Args:
+        state: The contact.
+        smooth: As that of :func:`_prepared`.
 
     Returns:
         Those where pressure has a root, and active vertices that aren't at an edge,
-        ``(num_vertices,)`` each.
+        ``(num_vertices,)`` each; facets with an edge to which pressures rise, ``(num_facets,)``.
     """
     facets, active = state.surface.facets, state.active
     on = active[facets]
@@ -284,13 +307,14 @@ def _near_free_edges(state: ContactState) -> tuple[Mask, Mask]:
     np.add.at(total, facets, (state.p[facets] * inner).sum(axis=1)[:, None])
     some = (last & (count > 0))[facets] & ends[:, None]
     beside = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
-    falls = (np.where(some, state.p[facets] - beside[facets], 0)).sum(axis=1) <= 0
+    rising = ends & ((np.where(some, state.p[facets] - beside[facets], 0)).sum(axis=1) > 0)
+    corners = rising & ~smooth
     near, singular = np.zeros((2, len(active)), dtype=bool)
-    near[facets[ends & falls]] = True
-    singular[facets[ends & ~falls]] = True
+    near[facets[ends & ~corners]] = True
+    singular[facets[corners]] = True
     for _ in range(_rings(state.surface)):
         near[facets[near[facets].any(axis=1)]] = True
-    return near & ~singular, active & ~last
+    return near & ~singular, active & ~last, rising
 
 
 class _RootFit:
@@ -376,11 +400,11 @@ class _RootFit:
         touched &= ~unknown
         mean = np.zeros(len(touched))
         np.maximum.at(mean, D.i, np.where(free, self.mean, 0)[D.j])
-        use = touched[D.i]
+        use, smooth = touched[D.i], SMOOTH_ROOT[surface.gdim - 2][self.state.compliance > 0]
         return Sparse(
             D.i[use],
             D.j[use],
-            SMOOTH_ROOT[surface.gdim - 2] * D.values[use] / mean[D.i[use]] ** 2,
+            smooth * D.values[use] / mean[D.i[use]] ** 2,
         )
 
     def is_met(self, s: Floats, missed: float) -> Mask:
@@ -475,6 +499,21 @@ class _RootFit:
             s = np.where(with_law, s, alone)
         return s
 
+    def opens_smoothly(self, s: Floats) -> Mask:
+        """Mask of facets beyond whose edges gaps are as small as beside a root, ``(num_facets,)``.
+
+        Where displacements on facets are linear, gaps don't tell.
+
+        Args:
+            s: p² at vertices.
+        """
+        opening = _Opening(self.state, self.free)
+        known, steeper = np.zeros((2, len(s)), dtype=bool)
+        known[opening.w] = True
+        steeper[opening.w] = opening.is_steeper(self._best(self._continued(s)))
+        facets = self.state.surface.facets
+        return known[facets].any(axis=1) & ~steeper[facets].any(axis=1)
+
     def _parts_with(self, some: Mask | npt.NDArray[np.intp]) -> Mask:
         """Mask of the vertices in parts with any of some vertices, ``(num_vertices,)``."""
         part = self.totals[self.state.vertices]
@@ -539,8 +578,17 @@ class _Opening:
         self.ways = surface.x[self.edge[at, corner], None] - surface.x[self.edge[at]]
         self.inside = active[self.edge[at]]
 
-    def values(self, s: Floats) -> Floats:
-        """Find s at the vertices; arguments: s, ``(num_vertices,)``, for its slopes."""
+    def _line(self, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """The line by which s goes on beyond an edge.
+
+        Args:
+            s: At vertices, for its slopes.
+
+        Returns:
+            Slopes k and distances of the farthest active vertices, ``(num,)``, distances of the
+            means' points from the open vertices, along the line, ``(num_facets, num_points)``, and
+            the means of d^1.5 that gaps have, ``(num,)``.
+        """
         num = len(self.w)
         slope = np.zeros((num, self.state.surface.gdim))
         np.add.at(slope, self.of, np.einsum("fv,fvi->fi", s[self.edge], self.gradients)[self.at])
@@ -548,14 +596,35 @@ class _Opening:
         k = np.maximum(lengths(slope), 1e-300)
         out = -slope / k[:, None]
         reach = np.where(self.inside, np.einsum("fvi,fi->fv", self.ways, out[self.of]), 0)
-        low, high = np.zeros((2, num))
-        np.maximum.at(high, self.of, reach.max(axis=1))
+        farthest = np.zeros(num)
+        np.maximum.at(farthest, self.of, reach.max(axis=1))
         along = np.einsum("fqi,fi->fq", self.x, out[self.i])
         root = self.state.gaps[self.w] / (4 / 3 * self.state.compliance * np.sqrt(k))
+        return k, farthest, along, root
+
+    def _means(self, d: Floats, along: Floats) -> Floats:
+        """Means of d^1.5 over hat functions, of open vertices' distances d from the edge."""
+        powers = np.maximum(d[self.i, None] + along, 0) ** 1.5
+        return np.bincount(self.i, (self.weight * powers).sum(axis=1), len(d))
+
+    def is_steeper(self, s: Floats) -> Mask:
+        """Mask of open vertices whose gaps are larger than the law's from the last active one.
+
+        They are beside a corner, unless pressures are as large as E* times its angle.
+
+        Args:
+            s: As that of :meth:`values`.
+        """
+        _, farthest, along, root = self._line(s)
+        return self._means(farthest, along) < root
+
+    def values(self, s: Floats) -> Floats:
+        """Find s at the vertices; arguments: s, ``(num_vertices,)``, for its slopes."""
+        k, high, along, root = self._line(s)
+        low = np.zeros_like(high)
         for _ in range(40):
             middle = (low + high) / 2
-            d = np.maximum(middle[self.i, None] + along, 0)
-            nearer = np.bincount(self.i, (self.weight * d**1.5).sum(axis=1), num) > root
+            nearer = self._means(middle, along) > root
             low, high = np.where(nearer, low, middle), np.where(nearer, middle, high)
         return -k * low
 

@@ -62,7 +62,7 @@ UNEVEN = 5.5
 """Ratio by which facets of Γ1 may be narrower, per degree, without a warning.
 Measured: cubes, smooth field: λ's error 2.3 × at 4, 4 × at 8."""
 
-SMOOTH_ROOT = 0.15, 0.3
+SMOOTH_ROOT = (0.15, 0.15), (0.3, 0.2)
 """μ: weight of jumps of slopes beside that of moments, for roots at free edges; plane, space.
 Measured: L², means over four places of the edge. Plane, with .1, .15, .2: Hertz, degree 1, a/2
 3.5e-2, 3.3e-2, 3.3e-2, a/10 1.0e-2, 9.2e-3, 8.2e-3; degree 2, a/3 5.1e-3, 4.3e-3, 4.0e-3; a
