@@ -400,7 +400,7 @@ class _RootFit:
         touched &= ~unknown
         mean = np.zeros(len(touched))
         np.maximum.at(mean, D.i, np.where(free, self.mean, 0)[D.j])
-        use, smooth = touched[D.i], SMOOTH_ROOT[surface.gdim - 2][self.state.compliance > 0]
+        use, (smooth, _) = touched[D.i], SMOOTH_ROOT[surface.gdim - 2]
         return Sparse(
             D.i[use],
             D.j[use],
@@ -492,6 +492,8 @@ class _RootFit:
         if len(w):
             alone, first = s, 1 + max(part.i.max(initial=-1) for part in (self.sums, self.jumps))
             self.opening = Sparse(first + np.arange(len(w)), w, opening.share / self.mean[w] ** 2)
+            smooth, less = SMOOTH_ROOT[self.state.surface.gdim - 2]
+            self.jumps = replace(self.jumps, values=less / smooth * self.jumps.values)
             for _ in range(3):  # steeper slopes give steeper targets: until they stay is too steep
                 self.target[w] = opening.values(s)
                 s = self._best(s)
