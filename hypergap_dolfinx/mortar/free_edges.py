@@ -105,7 +105,7 @@ class SurfacePressure:
             missed: Root mean square error of facets' forces, relative, of a root that isn't drawn.
         """
         s = np.where(state.p > 0, state.p, 0) ** 2
-        rising, steep, fit = _prepared(state, np.zeros(len(state.surface.facets), dtype=bool))
+        rising, steep, fit = _prepared(state)
         if state.compliance and rising.any():
             rising, _, trial = _prepared(state, rising)
             if trial:
@@ -261,12 +261,15 @@ def _rings(surface: Surface) -> int:
     return RINGS_ROOT[surface.gdim - 2] * surface.num_parts
 
 
-def _prepared(state: ContactState, smooth: Mask) -> "tuple[Mask, Mask, _RootFit | None]":
+def _prepared(
+    state: ContactState, smooth: Mask | None = None
+) -> "tuple[Mask, Mask, _RootFit | None]":
     """What there is to fit.
 
     Args:
         state: The contact.
-        smooth: Facets with an edge to which gaps say that pressure falls, ``(num_facets,)``.
+        smooth: Facets with an edge to which gaps say that pressure falls, ``(num_facets,)``; None:
+            none is known.
 
     Returns:
         Facets with an edge to which pressures at vertices rise, facets near free edges,
@@ -281,7 +284,7 @@ def _prepared(state: ContactState, smooth: Mask) -> "tuple[Mask, Mask, _RootFit 
     return rising, steep, _RootFit(state, rooted, near, mean, part) if rooted.any() else None
 
 
-def _near_free_edges(state: ContactState, smooth: Mask | bool = False) -> tuple[Mask, Mask, Mask]:
+def _near_free_edges(state: ContactState, smooth: Mask | None = None) -> tuple[Mask, Mask, Mask]:
     """Vertices near free edges of contact.
 
     Args:
@@ -308,7 +311,7 @@ def _near_free_edges(state: ContactState, smooth: Mask | bool = False) -> tuple[
     some = (last & (count > 0))[facets] & ends[:, None]
     beside = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
     rising = ends & ((np.where(some, state.p[facets] - beside[facets], 0)).sum(axis=1) > 0)
-    corners = rising & ~smooth
+    corners = rising if smooth is None else rising & ~smooth
     near, singular = np.zeros((2, len(active)), dtype=bool)
     near[facets[ends & ~corners]] = True
     singular[facets[corners]] = True

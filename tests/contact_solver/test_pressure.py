@@ -336,7 +336,7 @@ def test_steps_are_sparse(monkeypatch, degree, apart):
     active, forces = s > 0, np.zeros((len(side.dofs), 3))
     p = np.sqrt(np.maximum(s, 0))
     state = ContactState(side, side.reference, p, active, s < 9, 0 * s, forces)
-    free, _ = _near_free_edges(state)
+    free = _near_free_edges(state)[0]
     near = free[side.reference.facets].any(axis=1)
     mean, part = _parts(state, near)
     assert (len(np.unique(part[mean > 0])) > 1) == apart
@@ -389,6 +389,25 @@ def test_opening_beyond_an_edge(kind, degree):
     forces[side.at_facets[(surface.facets == some).any(axis=1)]] = 0
     alone, found = (SurfacePressure.of(replace(known, compliance=c)).s for c in (0, 2.5))
     assert alone[some] <= 0 and (found == alone).all()
+
+
+@pytest.mark.parametrize("kind", ("edges", "triangles", "quadrilaterals"))
+def test_root_where_pressures_rise(kind):
+    """Towards a smooth edge, with gaps of its root; where they open as beside a corner, none."""
+    side = top_of(kind, 2)
+    surface, x = side.reference, side.reference.x[:, 0]
+    s = 0.69 - x
+    p, active = np.sqrt(np.maximum(s, 0)), s > 0
+    gaps = 4 / 3 * (mean_gaps(x, 0.69) if kind == "edges" else np.maximum(-s, 0) ** 1.5)
+    forces = np.zeros((len(side.dofs), surface.gdim))
+    state = ContactState(side, surface, p, active, s < 9, gaps, forces, 1.0)
+    near = _near_free_edges(state)[0][surface.facets].any(axis=1)
+    rises = np.where(x > x[active].max() - 1e-6, active, p)
+    state = replace(state, p=rises, forces=moments(side, s, near))
+    corner = replace(state, gaps=30 * gaps)
+    unknown = replace(state, compliance=0.0)
+    drawn = [SurfacePressure.of(part).near.any() for part in (state, corner, unknown)]
+    assert drawn == [True, False, False]
 
 
 @pytest.mark.parametrize("edge", (0.5, 0.55, 0.66, 0.7))
