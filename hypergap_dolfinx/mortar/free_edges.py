@@ -25,8 +25,10 @@ vertices (:class:`_Opening`). Elsewhere p is linear between vertices.
 
 An edge of contact is free where an active vertex has a neighbour that is open, as others beside
 that are, and lies opposite Γ0, and where pressure falls towards it. At corners it rises (it is
-singular there); where a surface ends nothing is open beside it: neither has a root. Nor has a part
-of which all active vertices are at the edge: two numbers can't be told from one force.
+singular there); where a surface ends nothing is open beside it: neither has a root. At vertices it
+may rise towards an edge of a smooth profile, too: where gaps say what s is, and aren't larger
+beyond than those of a root that ends at the last active vertex, the edge is free. Nor has a part a
+root of which all active vertices are at the edge: two numbers can't be told from one force.
 """
 
 from collections.abc import Sequence
