@@ -489,7 +489,7 @@ static Jet shared(Tape *tape, const Ray *ray, Jet jet, int end)
 // g           (num_edges₁, 2)
 // covered     parts of the halves that see Γ0, likewise
 // areas       of these parts, likewise
-// C           ∂g/∂u
+// C           ∂g/∂u, summed over the halves of each vertex
 // by_covered  ∂covered/∂u
 int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
               Entries *by_covered)
@@ -509,12 +509,12 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Ent
     {
       if (point->part == 1 - e)
         continue;
-      int row = 2 * point->edge + e;
+      int half = 2 * point->edge + e;
       Jet volume = shared(&tape, &ray, ray.volume, e), part = shared(&tape, &ray, ray.covered, e);
-      g[row] += volume[0], covered[row] += 2 * part[0];
-      areas[row] += part[0] * sqrt(ray.square[0]) * ray.arc;
-      add_row(&local, row, volume, C);
-      add_row(&local, row, scaled(&tape, 2, part), by_covered);
+      g[half] += volume[0], covered[half] += 2 * part[0];
+      areas[half] += part[0] * sqrt(ray.square[0]) * ray.arc;
+      add_row(&local, sigma->sides[1].vertices[half], volume, C);
+      add_row(&local, half, scaled(&tape, 2, part), by_covered);
     }
   }
   can = can && !tape.failed;
@@ -624,7 +624,9 @@ typedef struct {
   Tape *tape;
   const Ray *ray;
   int across;
+  const int *vertices; // of halves
   const double *moved, *q;
+  Jet by_moved; // the slip by Δu, if that is given
   Entries *entries;
 } Slip;
 
@@ -632,18 +634,18 @@ static void take(const Slip *slip, int number, int i, Jet jet)
 {
   const Local *local = slip->local;
   int dof = 2 * local->dofs[number] + i, edge = slip->ray->point->edge;
+  for (int k = 0; slip->moved && k < 1 + 2 * local->num; ++k)
+    slip->by_moved[k] += slip->moved[dof] * jet[k];
   for (int e = 0; e < 2; ++e)
   {
-    int row = 2 * edge + e;
+    int half = 2 * edge + e;
     if (slip->ray->point->part == 1 - e)
       continue;
     Jet part = shared(slip->tape, slip->ray, jet, e);
     if (!slip->q)
-      add(slip->entries, row, dof, part[0]);
-    // Σ q ∂T/∂u, or ∂T/∂u Δu
-    double factor = slip->q ? slip->q[row] : slip->moved ? slip->moved[dof] : 0;
-    for (int k = 0; factor != 0 && k < 2 * local->num; ++k)
-      add(slip->entries, slip->q ? dof : row, component_of(local, k), factor * part[1 + k]);
+      add(slip->entries, slip->vertices[half], dof, part[0]);
+    for (int k = 0; slip->q && slip->q[half] != 0 && k < 2 * local->num; ++k)
+      add(slip->entries, dof, component_of(local, k), slip->q[half] * part[1 + k]);
   }
 }
 
@@ -668,28 +670,34 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
   Tape tape = {0};
   int can = 1;
   Ray ray;
-  slip.local = &local, slip.tape = &tape;
+  slip.local = &local, slip.tape = &tape, slip.vertices = above->vertices;
   for (int p = 0; can && p < sigma->num_points; ++p)
   {
     const Point *point = sigma->points + p;
     if (slip.q && slip.q[2 * point->edge] == 0 && slip.q[2 * point->edge + 1] == 0)
       continue;
     can = next_ray(&tape, order, sigma, point, &local, &ray);
-    slip.ray = &ray;
-    for (int k = 0; can && k < point->num; ++k)
+    if (!can)
+      break;
+    slip.ray = &ray, slip.by_moved = constant(&tape, 0);
+    for (int k = 0; k < point->num; ++k)
       for (int i = 0; i < 2; ++i)
       {
         Jet by = slip_by(&tape, &ray, i, k, slip.across);
         take_point(&slip, below, ray.curves + k, ray.r[k], local.of_sheet[k], i, 1, by);
         take_point(&slip, above, &ray.curve, ray.s, local.own, i, -1, by);
       }
+    for (int e = 0; slip.moved && e < 2; ++e)
+      if (point->part != 1 - e)
+        add_row(&local, slip.vertices[2 * point->edge + e],
+                shared(&tape, &ray, slip.by_moved, e), slip.entries);
   }
   can = can && !tape.failed;
   close_tape(&tape);
   return can ? DONE : NO_MEMORY;
 }
 
-// Weighted slips of the halves s = T Δu: T; if they are given Δu, by dofs, T + ∂T/∂u Δu instead.
+// Weighted slips of vertices s = T Δu: T; if they are given Δu, by dofs, T + ∂T/∂u Δu instead.
 //
 // across  whether what parts the sides across Γ1's edges is asked for, not along them
 int find_slips(const Sigma *sigma, int across, const double *moved, Entries *rows)

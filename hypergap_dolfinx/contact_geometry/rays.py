@@ -123,16 +123,12 @@ class PlaneRays:
         given = self.sigma, g, covered, areas
         C, by_covered = _filled(self.num_halves, 2, lambda C, K: call("find_gaps", *given, C, K))
         g, covered, areas = (part.reshape(-1, 2) for part in (g, covered, areas))
-        return g, covered, areas, self._by_vertex(C), by_covered
+        return g, covered, areas, C, by_covered
 
     def curvature(self, p: npt.NDArray, by_covered: npt.NDArray) -> Sparse:
         """Σ p ∂²g/∂u² + Σ by_covered ∂²covered/∂u², with values of halves."""
         given = self.sigma, doubles(p), doubles(by_covered)
         return _filled(self._num_dofs, 1, lambda H: call("gap_curvature", *given, H))[0]
-
-    def _by_vertex(self, halves: Sparse) -> Sparse:
-        """Sums over halves of vertices."""
-        return Sparse(self.facets.ravel().astype(np.int64)[halves.i], halves.j, halves.values)
 
     def slips(self, on=None, moved: npt.NDArray[np.float64] | None = None) -> Sparse:
         """T with the slips s = T Δu of vertices; ∂s/∂u if Δu moves with u.
@@ -149,8 +145,7 @@ class PlaneRays:
 
     def _slips(self, across: bool, moved) -> Sparse:
         given = self.sigma, across, moved
-        found = _filled(self.num_halves, 1, lambda T: call("find_slips", *given, T))[0]
-        return self._by_vertex(found)
+        return _filled(len(self.above.x), 1, lambda T: call("find_slips", *given, T))[0]
 
     def slip_curvature(self, q: npt.NDArray) -> Sparse:
         """Σ q ∂T/∂u, with tractions of vertices, ``(num, 1)``; it isn't symmetric."""
