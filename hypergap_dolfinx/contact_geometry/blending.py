@@ -134,11 +134,11 @@ class Blended:
 
     def slips(self, target: npt.NDArray[np.intp]) -> Sparse:
         """T with s = T Δu, along the directions of vertices' targets, ``(num,)``."""
-        return self._along(self._every_slip, target)
+        return self.rays.along(self._every_slip, target)
 
     @cached_property
     def _every_slip(self) -> Sparse:
-        """Slips of all vertices, as vectors, by Δu."""
+        """Slips of all vertices, as vectors in space, by Δu."""
         return self.rays.slips(np.ones(self.num, dtype=bool))
 
     def slip_slopes(self, target, moved: Floats, on: npt.NDArray[np.bool_]) -> Sparse:
@@ -149,19 +149,12 @@ class Blended:
             moved: Δu by both sides' dofs, ``(num_dofs, n)``.
             on: Mask of the vertices that count, ``(num,)``.
         """
-        return self._along(self.rays.slips(on, moved), target)
-
-    def _along(self, slips: Sparse, target: npt.NDArray[np.intp]) -> Sparse:
-        """Slips along directions, component by component, from vectors of vertices."""
-        e = self.rays.directions[target]
-        num, across, n = e.shape
-        i, j = np.arange(num)[:, None, None] + num * np.arange(across)[:, None], np.arange(num * n)
-        i, j = np.broadcast_to(i, e.shape), np.broadcast_to(j.reshape(num, 1, n), e.shape)
-        return Sparse(i.ravel(), j.ravel(), e.ravel()) @ slips
+        slips = self.rays.slips(on, moved) if moved.any() else self._every_slip
+        return self.rays.along(slips, target)
 
     def slip_curvature(self, target, q: Floats) -> Sparse:
         """∂(Tᵀq)/∂u from tractions, ``(n - 1, num)``; it isn't symmetric."""
-        return self.rays.slip_curvature(np.einsum("ka,aki->ai", q, self.rays.directions[target]))
+        return self.rays.slip_curvature(q, target)
 
     def force_slopes(self, p: Floats) -> Sparse:
         """∂(Lᵀp)/∂u times areas, ``(num, n num_dofs)``."""

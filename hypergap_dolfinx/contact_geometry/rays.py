@@ -66,7 +66,7 @@ quadrature, to round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -107,11 +107,6 @@ class PlaneRays:
         """Vertices of Γ1's edges, ``(num_edges1, 2)``."""
         return self.above.facets
 
-    @cached_property
-    def directions(self) -> npt.NDArray[np.float64]:
-        """Factors of slips, which are along the edges, ``(num, 1, 1)``."""
-        return np.ones((len(self.above.x), 1, 1))
-
     @property
     def num_halves(self) -> int:
         """Number of halves of Γ1's edges."""
@@ -147,9 +142,13 @@ class PlaneRays:
         given = self.sigma, across, moved
         return _filled(len(self.above.x), 1, lambda T: call("find_slips", *given, T))[0]
 
-    def slip_curvature(self, q: npt.NDArray) -> Sparse:
-        """Σ q ∂T/∂u, with tractions of vertices, ``(num, 1)``; it isn't symmetric."""
-        given = self.sigma, doubles(q[self.facets, 0])
+    def along(self, slips: Sparse, target) -> Sparse:
+        """Slips in the directions of vertices' targets: here they are along edges."""
+        return slips
+
+    def slip_curvature(self, q: npt.NDArray, target) -> Sparse:
+        """Σ q ∂T/∂u, with tractions of vertices, ``(1, num)``; it isn't symmetric."""
+        given = self.sigma, doubles(q[0, self.facets])
         return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
     def columns(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:

@@ -204,8 +204,17 @@ class SpaceColumns:
         T = merged(rows, dofs, blocks, (3 * self.size[0], self.size[1]))
         return joined(T, self._by_vertex(self.faded.slips(moved), 3)) if self.faded else T
 
-    def slip_curvature(self, traction: Floats) -> Sparse:
-        """∂(Tᵀq)/∂u from tractions of vertices, ``(num, 3)``; it isn't symmetric."""
+    def along(self, slips: Sparse, target: npt.NDArray[np.intp]) -> Sparse:
+        """Slips in the directions of vertices' targets, ``(num,)``, component by component."""
+        e = self.directions[target]
+        num, across, n = e.shape
+        i, j = np.arange(num)[:, None, None] + num * np.arange(across)[:, None], np.arange(num * n)
+        i, j = np.broadcast_to(i, e.shape), np.broadcast_to(j.reshape(num, 1, n), e.shape)
+        return Sparse(i.ravel(), j.ravel(), e.ravel()) @ slips
+
+    def slip_curvature(self, q: Floats, target: npt.NDArray[np.intp]) -> Sparse:
+        """∂(Tᵀq)/∂u from tractions of vertices, ``(2, num)``; it isn't symmetric."""
+        traction = np.einsum("ka,aki->ai", q, self.directions[target])
         H = Sparse.empty()
         if self.faded:
             H = self.faded.slip_curvature(traction[self.facets.ravel()])

@@ -790,13 +790,11 @@ class ContactRows:
         acting = acting.some(on[acting.i])
         found = [Sparse(acting.j, start + acting.i, self._root * acting.values)]
         part, a = np.divmod(rows.i, num)
-        for i in range(len(error)):
-            values = self._root * rows.values * by_y[i, part, a]
-            law = Sparse(start + num * i + a, rows.j, values)
-            found.append(law.some(on[num * i + a] & (values != 0)))
-        for i, j in np.argwhere(by_f.any(axis=2)):
-            at = np.flatnonzero(on[num * i : num * (i + 1)])
-            found.append(Sparse(start + num * i + at, start + num * j + at, -k * by_f[i, j, at]))
+        values = self._root * rows.values * by_y[:, part, a]
+        i, e = np.nonzero(values * on.reshape(-1, num)[:, a])
+        found.append(Sparse(start + num * i + a[e], rows.j[e], values[i, e]))
+        i, j, a = np.nonzero(by_f * on.reshape(-1, 1, num))
+        found.append(Sparse(start + num * i + a, start + num * j + a, -k * by_f[i, j, a]))
         beside = self._pressed_by(by_y)
         self._beside = beside = beside.some(on[beside.i])
         beside = beside.some(on[beside.j])
@@ -808,7 +806,7 @@ class ContactRows:
             self._bends = replace(H, values=-H.values)
         found.append(self._bends)
         return Linear(
-            joined(*found).summed,
+            joined(*found),
             np.where(on, self._root * right.ravel(), 0),
             f.ravel() / self._root * on,
         )

@@ -3,6 +3,7 @@
 """Balance of forces: the residual of bodies beside the forces in them."""
 
 from collections.abc import Sequence
+from itertools import accumulate, pairwise
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -107,7 +108,8 @@ class ForceBalance:
         found.append(self._along_axes(owned).ravel())
         sums = np.concatenate(found)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
-        *found, jumps, self._along = np.split(sums, np.cumsum([len(part) for part in found[:-1]]))
+        ends = accumulate(map(len, found), initial=0)
+        *found, jumps, self._along = [sums[a:b] for a, b in pairwise(ends)]
         errors, values = found[:bodies], found[bodies:]
         apart, extent = self._of_couplings(left)
         rest = jumps.sum() + apart + sum(error[0] for error in errors[self._num :])

@@ -335,8 +335,8 @@ class FrictionRows(ContactRows):
     def _pressed_by(self, by_y) -> Sparse:
         bears, rows = self._bears_of_units, np.arange(1, self._n)[:, None]
         values = by_y[1:, self._n][:, bears.i] * bears.values
-        i, j = np.broadcast_arrays(len(self.g) * rows + bears.i, bears.j)
-        return Sparse(i.ravel(), j.ravel(), values.ravel())
+        i, j = len(self.g) * rows + bears.i, np.concatenate([bears.j] * len(rows))
+        return Sparse(i.ravel(), j, values.ravel())
 
     def _states(self, y, f, at):
         """What is closed, has pressure, sticks, directions of slip; arguments as :meth:`law`."""

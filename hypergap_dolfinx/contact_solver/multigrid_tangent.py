@@ -421,7 +421,7 @@ class MultigridTangent:
         parts = [[Sparse.empty()] for _ in range(4)]
         held, moved, inverses = np.zeros(num, dtype=bool), np.zeros(num), [Sparse.empty()]
         for start, linear, dofs, rows in zip(self._first, equations, self._dofs, self._rows):
-            matrix, size = linear.matrix, len(dofs)
+            matrix, size = linear.matrix.summed, len(dofs)
             is_dof = matrix.i < size, matrix.j < size
             i, j = (
                 np.where(of, np.append(dofs, -1)[np.where(of, at, -1)], start + at - size)

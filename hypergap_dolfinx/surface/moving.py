@@ -131,21 +131,16 @@ def went_through(
         Vertices whose facets all went through, halfway to the vertex, and corners of which some
         facets did, ``(num,)`` each.
     """
-    none = np.empty(0, dtype=np.intp)
     own, corners = map(_simplices, (mine[0], others[0]))
     c = np.stack([s.x[corners] for s in others])
     shift = (c[1] - c[0]).mean(axis=(0, 1))
     c[1] -= shift
-    hulls = _boxes(_there_and_back(np.stack((mine[0].x, mine[1].x - shift))[:, None]))
-    swept = _boxes(_there_and_back(c))
-    if not len(meeting(hulls, swept)):
-        return none, none
     y = mine[0].x[own]
     x = np.stack([(s.x[own] + s.x[own].mean(axis=1, keepdims=True)) / 2 for s in mine])
     x = x.reshape(2, -1, x.shape[3])
     x[1] -= shift
     ways = x[:, :, None], c
-    v, f = meeting(_boxes(_there_and_back(ways[0])), swept).T
+    v, f = meeting(*(_boxes(np.concatenate((way, 2 * way[:1] - way[1:]))) for way in ways)).T
     if not len(v):
         return v, v
     n = np.stack([_units(part) for part in c])
@@ -205,11 +200,6 @@ def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
 def _boxes(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Boxes around moving sets of points, ``(num_times, num_sets, num_points, n)``."""
     return np.stack((x.min(axis=(0, 2)), x.max(axis=(0, 2))), axis=1)
-
-
-def _there_and_back(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Places before and after, ``(2, ...)``, and as far back as they moved."""
-    return np.concatenate((x, 2 * x[:1] - x[1:]))
 
 
 def _units(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
