@@ -349,27 +349,27 @@ static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, cons
 }
 
 // A point's ray as jets.
-static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Local *local)
+static void ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Local *local, Ray *ray)
 {
   const Side *below = sigma->sides, *above = below + 1;
   const double *origin = node(above, point->edge, 0);
-  Ray ray = {.point = point, .arc = 1};
+  ray->point = point, ray->arc = 1, ray->share = ray->volume = ray->covered = NULL;
   const int *ends = above->end_dofs + 2 * (point->edge % above->num_parts);
   Jet a[2], x1[2], xi[2], hidden = NULL;
   for (int i = 0; i < 2; ++i)
   {
     a[i] = vertex_at(tape, origin, origin, local->own + ends[0], i);
     Jet b = vertex_at(tape, node(above, point->edge, 1), origin, local->own + ends[1], i);
-    ray.c[i] = combined(tape, 1, b, -1, a[i]);
+    ray->c[i] = combined(tape, 1, b, -1, a[i]);
   }
-  ray.square = dotted(tape, ray.c, ray.c);
+  ray->square = dotted(tape, ray->c, ray->c);
   for (int e = 0; e < 2; ++e)
   {
     int v = point->ends[e];
     if (point->fades[e] >= 0)
     {
       Curve curve = curve_at(below, point->fades[e], point->at_fades[e], origin);
-      xi[e] = fade_at(tape, &ray, &curve, below->num_dofs, local->of_fade[e], point->at_fades[e], a);
+      xi[e] = fade_at(tape, ray, &curve, below->num_dofs, local->of_fade[e], point->at_fades[e], a);
       continue;
     }
     if (v < 0)
@@ -383,28 +383,28 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
       Jet x = vertex_at(tape, position(below, v), origin, local->of_end + e, i);
       d[i] = combined(tape, 1, x, -1, a[i]);
     }
-    xi[e] = quotient(tape, dotted(tape, d, ray.c), ray.square);
+    xi[e] = quotient(tape, dotted(tape, d, ray->c), ray->square);
   }
-  ray.width = combined(tape, point->width, xi[1], -point->width, xi[0]);
+  ray->width = combined(tape, point->width, xi[1], -point->width, xi[0]);
   Jet at = combined(tape, 1 - point->at, xi[0], point->at, xi[1]);
-  Jet to = product(tape, at, ray.square);
+  Jet to = product(tape, at, ray->square);
   if (point->part == 2)
   {
     double from = sigma->shared[0], size = sigma->shared[1] - from;
-    ray.share = combined(tape, 1 / size, at, -from / size, constant(tape, 1));
+    ray->share = combined(tape, 1 / size, at, -from / size, constant(tape, 1));
   }
-  ray.curve = curve_at(above, point->edge, point->s, origin);
-  ray.s = above->num_nodes == 2
+  ray->curve = curve_at(above, point->edge, point->s, origin);
+  ray->s = above->num_nodes == 2
               ? at
-              : met(tape, &ray.curve, above->num_dofs, local->own, point->s, a, ray.c, to);
+              : met(tape, &ray->curve, above->num_dofs, local->own, point->s, a, ray->c, to);
   for (int i = 0; i < 2; ++i)
-    x1[i] = on_curve(tape, &ray.curve, above->num_dofs, local->own, ray.s, 0, i);
+    x1[i] = on_curve(tape, &ray->curve, above->num_dofs, local->own, ray->s, 0, i);
   if (sigma->angle > 0)
-    ray.arc = sigma->angle * (origin[0] + x1[0][0]);
+    ray->arc = sigma->angle * (origin[0] + x1[0][0]);
   Jet inside = NULL;
   if (point->foot >= 0)
   {
-    Jet chord = power(tape, ray.square, 0.5), depth = depth_of(tape, sigma, point, local, origin, x1);
+    Jet chord = power(tape, ray->square, 0.5), depth = depth_of(tape, sigma, point, local, origin, x1);
     inside = product(tape, combined(tape, 1, depth, sigma->slack, chord), chord);
   }
   for (int k = 0; k < point->num; ++k)
@@ -412,44 +412,44 @@ static Ray ray_at(Tape *tape, const Sigma *sigma, const Point *point, const Loca
     const Sheet *sheet = sigma->sheets + point->first + k;
     const int *numbers = local->of_sheet[k];
     Jet d[2];
-    ray.curves[k] = curve_at(below, sheet->edge, sheet->r, origin);
-    ray.r[k] = met(tape, ray.curves + k, below->num_dofs, numbers, sheet->r, a, ray.c, to);
+    ray->curves[k] = curve_at(below, sheet->edge, sheet->r, origin);
+    ray->r[k] = met(tape, ray->curves + k, below->num_dofs, numbers, sheet->r, a, ray->c, to);
     for (int i = 0; i < 2; ++i)
     {
-      Jet x0 = on_curve(tape, ray.curves + k, below->num_dofs, numbers, ray.r[k], 0, i);
+      Jet x0 = on_curve(tape, ray->curves + k, below->num_dofs, numbers, ray->r[k], 0, i);
       d[i] = combined(tape, 1, x0, -1, x1[i]);
     }
-    Jet height = wedge(tape, d, ray.c);
+    Jet height = wedge(tape, d, ray->c);
     Jet part, open;
     if (sheet->turns_away)
     {
-      Jet weight = weight_of_back(tape, sigma, &ray, k, local, x1, inside, &open);
+      Jet weight = weight_of_back(tape, sigma, ray, k, local, x1, inside, &open);
       Jet seen = combined(tape, -1, hidden, 1, constant(tape, 1));
       part = scaled(tape, -1, product(tape, weight, seen));
       hidden = combined(tape, 1, hidden, 1, product(tape, open, seen));
     }
     else
     {
-      Jet weight = weight_of(tape, sigma, &ray, k, local, height, x1, inside);
+      Jet weight = weight_of(tape, sigma, ray, k, local, height, x1, inside);
       part = weight && hidden ? product(tape, weight, hidden) : weight ? weight : hidden;
       Jet left = weight ? combined(tape, -1, weight, 1, constant(tape, 1)) : constant(tape, 0);
       hidden = hidden ? product(tape, hidden, left) : left;
     }
-    ray.visible[k] = part;
-    part = part ? product(tape, part, ray.width) : ray.width;
-    ray.heights[k] = height[0];
+    ray->visible[k] = part;
+    part = part ? product(tape, part, ray->width) : ray->width;
+    ray->heights[k] = height[0];
+    ray->arcs[k] = NULL;
     height = product(tape, part, height);
     if (sigma->angle > 0)
     {
       Jet middle = combined(tape, 1, x1[0], 0.5, d[0]);
-      ray.arcs[k] = combined(tape, sigma->angle, middle, sigma->angle * origin[0],
+      ray->arcs[k] = combined(tape, sigma->angle, middle, sigma->angle * origin[0],
                              constant(tape, 1));
-      height = product(tape, ray.arcs[k], height);
+      height = product(tape, ray->arcs[k], height);
     }
-    ray.covered = ray.covered ? combined(tape, 1, ray.covered, 1, part) : part;
-    ray.volume = ray.volume ? combined(tape, 1, ray.volume, 1, height) : height;
+    ray->covered = ray->covered ? combined(tape, 1, ray->covered, 1, part) : part;
+    ray->volume = ray->volume ? combined(tape, 1, ray->volume, 1, height) : height;
   }
-  return ray;
 }
 
 // Find a point's ray; 0 without memory.
@@ -459,7 +459,7 @@ static int next_ray(Tape *tape, int order, const Sigma *sigma, const Point *poin
   gather(sigma, point, local);
   if (!start_tape(tape, 2 * local->num, order))
     return 0;
-  *ray = ray_at(tape, sigma, point, local);
+  ray_at(tape, sigma, point, local, ray);
   return !tape->failed;
 }
 
@@ -522,10 +522,11 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Ent
   return can ? DONE : NO_MEMORY;
 }
 
-// What of the gaps of halves is in front of Γ1, up to edges that lean.
+// What of the gaps of halves is in front of Γ1, up to edges that lean, on edges with pressures.
 //
-// volumes  (num_edges₁, 2)
-int find_leaning(const Sigma *sigma, double *volumes)
+// p        pressures of halves, (num_edges₁, 2)
+// volumes  likewise
+int find_leaning(const Sigma *sigma, const double *p, double *volumes)
 {
   const double range[] = {sigma->cosines[1], 2 * sigma->cosines[1]};
   Local local;
@@ -533,9 +534,11 @@ int find_leaning(const Sigma *sigma, double *volumes)
   int can = 1;
   Ray ray;
   memset(volumes, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
-  for (int p = 0; can && p < sigma->num_points; ++p)
+  for (int n = 0; can && n < sigma->num_points; ++n)
   {
-    const Point *point = sigma->points + p;
+    const Point *point = sigma->points + n;
+    if (p[2 * point->edge] == 0 && p[2 * point->edge + 1] == 0)
+      continue;
     can = next_ray(&tape, 0, sigma, point, &local, &ray);
     for (int k = 0; can && k < point->num; ++k)
     {

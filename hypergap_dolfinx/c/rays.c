@@ -358,7 +358,7 @@ static double find_foot(const Cast *cast, const double *x, Point *point)
       if (at >= 0)
       {
         const double *y = node(side, g, order[at]);
-        far = hypot(x[0] - y[0], x[1] - y[1]);
+        far = sqrt((x[0] - y[0]) * (x[0] - y[0]) + (x[1] - y[1]) * (x[1] - y[1]));
       }
       if (!(far < nearest))
         continue;

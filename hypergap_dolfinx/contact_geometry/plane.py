@@ -92,10 +92,10 @@ class PlaneSegments(Segments):
         return found
 
     @override
-    def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def reaches(self, u: Displacements, least, p) -> npt.NDArray[np.float64]:
         gaps = self._at(u)
         far, deep, leaning = found = np.zeros((3, self.num_multipliers))
-        np.add.at(leaning, gaps.facets.ravel(), gaps.rays.leaning())
+        np.add.at(leaning, gaps.facets.ravel(), gaps.rays.leaning(p))
         x, halves = gaps.rays.columns()
         vertices = gaps.facets.ravel()[halves]
         apart = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))

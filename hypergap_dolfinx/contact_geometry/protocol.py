@@ -219,14 +219,17 @@ class Segments(ABC):
         return self._at(u).force_slopes(p)
 
     @abstractmethod
-    def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def reaches(
+        self, u: Displacements, least: npt.NDArray[np.float64], p: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
         """Largest distance and largest overlap of the sides within each vertex's part of Γ1.
 
-        Third, what of its weighted gap is in front of Γ1, up to edges that lean.
+        Third, what of its weighted gap is in front of Γ1, up to edges that lean, under pressure.
 
         Args:
             u: Displacements.
             least: Lengths from which these are looked for, ``(num_multipliers,)``.
+            p: Pressures of vertices, likewise.
 
         Returns:
             All three, ``(3, num_multipliers)``; 0 where they are shorter, or not known.

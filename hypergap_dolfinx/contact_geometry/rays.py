@@ -164,10 +164,14 @@ class PlaneRays:
         halves = 2 * self.points["edge"] + self.points["part"].clip(max=1)
         return x[on], halves[on].astype(np.intp)
 
-    def leaning(self) -> npt.NDArray[np.float64]:
-        """What of the halves' gaps is in front, up to edges that lean, ``(num_halves,)``."""
+    def leaning(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """What of the halves' gaps is in front, up to edges that lean, ``(num_halves,)``.
+
+        Args:
+            p: Pressures of vertices, ``(num,)``; 0 on edges without.
+        """
         volumes = np.empty(self.num_halves)
-        check(call("find_leaning", self.sigma, volumes))
+        check(call("find_leaning", self.sigma, doubles(p[self.facets]), volumes))
         return volumes
 
     def depths(self, side: int, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -324,7 +324,7 @@ class SpaceSegments(Segments):
         return found
 
     @override
-    def reaches(self, u: Displacements, least: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def reaches(self, u: Displacements, least, p) -> npt.NDArray[np.float64]:
         far, deep, _ = found = np.zeros((3, self.num_multipliers))
         if self.itself:  # a place nearest to a surface is its own
             return found

@@ -544,6 +544,8 @@ class ContactRows:
 
     def _of_carriers(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Sums of vertices' values with the same condensation."""
+        if self._carries_own:
+            return values
         has = self.condensed_to >= 0
         return np.bincount(self.condensed_to[has], values[has], len(values)).astype(float)
 
@@ -602,8 +604,8 @@ class ContactRows:
         facets, size = self.sides[1].reference.facets, np.zeros(len(self.g))
         np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
         finer = np.minimum(size, self.sides[0].reference.size.max(initial=0))
-        far, deep, leaning = self.state.opening.reaches(self.u, least * finer)
         p = self.spread(np.where(self.state.active, self.state.p, 0)).clip(min=0)
+        far, deep, leaning = self.state.opening.reaches(self.u, least * finer, p)
         if self.has_compliance:  # surfaces are to overlap, up to the neighbouring vertices
             given = self.spread(self._compliance * np.where(self.state.active, self.state.p, 0))
             around = given.copy()

@@ -66,6 +66,8 @@ class FrictionRows(ContactRows):
         self._shares = np.zeros(num, dtype=bool)  # that have a part in others' rows
         self._elastic = np.zeros((across, num))  # elastic part of the slip
         self._all_slopes: Sparse | None = None
+        none = np.zeros(num, dtype=bool)
+        self._rubs: tuple[npt.NDArray, ...] = none, none, none  # found, behind what it is found of
 
     @property
     def has_friction(self) -> bool:
@@ -153,7 +155,12 @@ class FrictionRows(ContactRows):
     @property
     def rubs(self) -> npt.NDArray[np.bool_]:
         """Mask of the vertices that have a part in an active row."""
-        return (self._borne(self.state.active.astype(float)) > 0) & (self._own_areas > 0)
+        active, areas, found = self._rubs
+        if active is not self.state.active or areas is not self._own_areas:
+            active, areas = self.state.active, self._own_areas
+            found = (self._borne(active.astype(float)) > 0) & (areas > 0)
+            self._rubs = active, areas, found
+        return found
 
     @property
     def is_in(self) -> npt.NDArray[np.bool_]:
@@ -315,8 +322,11 @@ class FrictionRows(ContactRows):
     def given(self, f: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """The same; slips get nothing, and normal forces are sums of pressures."""
         num, p = len(self.g), f[: len(self.g)]
-        x = np.ascontiguousarray(p.reshape(num, -1).T)
-        forces = self._bears_of_units.products(x, num).T.reshape(p.shape)
+        bears = self._bears_of_units
+        if p.ndim == 1:
+            forces = np.bincount(bears.i, bears.values * p[bears.j], num)
+        else:
+            forces = bears.products(np.ascontiguousarray(p.T), num).T
         return np.concatenate((super().given(p), 0 * f[num:], forces))
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:

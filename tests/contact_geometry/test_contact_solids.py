@@ -237,7 +237,7 @@ def test_depths_and_distances():
         u = at_rest(two)
         segments = SpaceSegments.between(two, u)
         x = two[1].reference.x
-        far, deep, _ = segments.reaches(u, np.full(len(x), 1e-3))
+        far, deep, _ = segments.reaches(u, np.full(len(x), 1e-3), np.ones(len(x)))
         inside, outside = (x[:, :2] < 0.95).all(axis=1), (x[:, :2] > 1.2).any(axis=1)
         close(np.maximum(far, deep)[inside], np.full(inside.sum(), abs(gap)), 1e-12)
         assert not far[outside].any() and not deep[outside].any()
