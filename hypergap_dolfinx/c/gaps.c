@@ -43,9 +43,13 @@ typedef struct {
 
 static void add(Entries *entries, int row, int column, double value)
 {
-  int k = entries->first[row];
+  int k = entries->last + 1; // as at the last point
+  if (k < 0 || k >= entries->num || k >= entries->max || entries->rows[k] != row ||
+      entries->columns[k] != column)
+    k = entries->first[row];
   while (k >= 0 && entries->columns[k] != column)
     k = entries->next[k];
+  entries->last = k >= 0 ? k : entries->num;
   if (k >= 0)
   {
     entries->values[k] += value;
@@ -316,10 +320,16 @@ static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, cons
   const Side *below = sigma->sides;
   const Sheet *sheet = sigma->sheets + ray->point->first + k;
   int num = below->num_dofs;
-  const double *origin = node(below + 1, ray->point->edge, 0);
+  const double *origin = node(below + 1, ray->point->edge, 0), *t = ray->curves[k].x[1];
+  double facing = -(t[0] * ray->c[0][0] + t[1] * ray->c[1][0]);
+  facing /= sqrt((t[0] * t[0] + t[1] * t[1]) * ray->square[0]);
+  if (facing >= sigma->cosines[1] && (!inside || height[0] >= 0))
+    return NULL;
   Jet cos = cosine_of(tape, ray, ray->curves + k, num, local->of_sheet[k], ray->r[k]);
   Jet own = weight_with(tape, sigma, ray, sheet->edge, local->of_sheet[k], cos, height, inside);
   Jet of_others = NULL;
+  if (own[0] >= 1)
+    return NULL;
   for (int e = 0; e < 2; ++e)
   {
     if (sheet->beside[e] < 0)
@@ -332,8 +342,6 @@ static Jet weight_of(Tape *tape, const Sigma *sigma, const Ray *ray, int k, cons
     other = product(tape, at, other);
     of_others = of_others ? combined(tape, 1, of_others, 1, other) : other;
   }
-  if (own[0] >= 1)
-    return NULL;
   Jet faces = step_of(tape, cos, (double[]){0.5 * sigma->cosines[0], sigma->cosines[0]});
   Jet more = constant(tape, 0), lacks = combined(tape, -1, own, 1, constant(tape, 1));
   if (of_others)

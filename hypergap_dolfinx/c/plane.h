@@ -81,7 +81,7 @@ typedef struct {
 
 // Entries of a sparse matrix. If there is no room for all, num is at least what they need.
 typedef struct {
-  int max, num;
+  int max, num, last; // last: the entry that was added to last
   int *rows, *columns;
   double *values;
   int *next;  // entry of the same row, −1: none
