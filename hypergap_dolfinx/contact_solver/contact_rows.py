@@ -904,7 +904,8 @@ class ContactRows:
         """Forces of active multipliers at both sides' dofs, ``(num_dofs_i, n)`` each."""
         f, at = self._values * self.is_in, self._acting
         flat = np.bincount(at.j, at.values * f[at.i], len(self._is_free)).astype(float)
-        return np.split(flat.reshape(-1, self._n), [len(self.sides[0].dofs)])
+        forces, num = flat.reshape(-1, self._n), len(self.sides[0].dofs)
+        return [forces[:num], forces[num:]]
 
     def unsatisfied(self) -> npt.NDArray[np.float64]:
         """Residual gaps and pressures as lengths, ``(num_multipliers,)``."""

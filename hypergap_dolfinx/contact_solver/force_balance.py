@@ -178,7 +178,7 @@ class ForceBalance:
         sums = [
             (
                 self.left[i].real[a :: self._dim].sum(),
-                np.abs(column * self._displacements(i, owned[i]).ravel()).sum(),
+                np.abs(column) @ np.abs(self._fields[i].part.of_body(owned[i])),
             )
             for i, a, column in self._translated
         ]

@@ -8,6 +8,7 @@ has an equation, p = 0 if it is inactive, and there is room for entries that may
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Any
 
 from mpi4py import MPI
@@ -380,8 +381,8 @@ class Tangent:
             retained.factorised()
         if not np.isfinite(x.norm()):
             raise SolveError("the linear solve gave no numbers.")
-        ends = np.cumsum([len(part) for part in start])
-        found = np.split(x.array_r.copy(), ends[:-1])
+        values, ends = x.array_r.copy(), accumulate(map(len, start), initial=0)
+        found = [values[a:b] for a, b in pairwise(ends)]
         contacts = found[len(right) :]
         return found[: len(right)], [
             rows.gathered(part) for rows, part in zip(self._rows, contacts, strict=True)
