@@ -367,10 +367,10 @@ class ContactRows:
             (side.displaced(a), side.displaced(b))
             for side, a, b in zip(self.sides, since, self.u, strict=True)
         ]
-        itself = self.meets_itself
+        ways = ways[: 1 if self.meets_itself else 2]
         found = [
-            [mine[1].x[at] for at in went_through(mine, others, self.closed, itself=itself)]
-            for mine, others in ((ways[:1] * 2,) if itself else (ways, ways[::-1]))
+            [side[1].x[at] for at in of]
+            for side, of in zip(ways, went_through(ways, self.closed), strict=True)
         ]
         return [np.concatenate(part) for part in zip(*found, strict=True)]
 

@@ -109,10 +109,11 @@ def displaced(sides: Sides, u: Displacements) -> tuple[Surface, Surface]:
     return sides[0].displaced(u[0]), sides[1].displaced(u[1])
 
 
-def went_through(
-    mine: tuple[Surface, Surface], others: tuple[Surface, Surface], least: float, *, itself: bool
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Vertices of a surface that went through a wall of another one on straight ways.
+Ints = npt.NDArray[np.intp]
+
+
+def went_through(sides: Sequence[tuple[Surface, Surface]], least: float) -> list[tuple[Ints, Ints]]:
+    """Vertices of surfaces that went through a wall of another one on straight ways.
 
     Such a vertex crosses the middle of the wall from the front, ends behind it, and comes nearer by
     half of the wall at least. The wall is what lies between a facet and the far side of its own
@@ -122,39 +123,55 @@ def went_through(
     at that facet, which isn't the far side. Surfaces without a far side have no walls.
 
     Args:
-        mine: The surface before and after.
-        others: The other one, likewise.
+        sides: Each surface before and after: two, or one that meets itself, but no vertex its own
+            facets.
         least: Depth treated as zero.
-        itself: True if both are one surface, where no vertex meets its own facets.
 
     Returns:
-        Vertices whose facets all went through, halfway to the vertex, and corners of which some
-        facets did, ``(num,)`` each.
+        Of each surface vertices whose facets all went through, halfway to the vertex, and corners
+        of which some facets did, ``(num,)`` each.
     """
-    own, corners = map(_simplices, (mine[0], others[0]))
-    c = np.stack([s.x[corners] for s in others])
-    shift = (c[1] - c[0]).mean(axis=(0, 1))
-    c[1] -= shift
-    y = mine[0].x[own]
-    x = np.stack([(s.x[own] + s.x[own].mean(axis=1, keepdims=True)) / 2 for s in mine])
-    x = x.reshape(2, -1, x.shape[3])
-    x[1] -= shift
-    ways = x[:, :, None], c
-    v, f = meeting(*(_boxes(np.concatenate((way, 2 * way[:1] - way[1:]))) for way in ways)).T
-    if not len(v):
-        return v, v
-    n = np.stack([_units(part) for part in c])
+    corners = [_simplices(before) for before, _ in sides]
+    c = [np.stack([s.x[at] for s in ways]) for ways, at in zip(sides, corners, strict=True)]
+    shift = (c[-1][1] - c[-1][0]).mean(axis=(0, 1))
+    for ends in c:
+        ends[1] -= shift
+    swept = [_boxes(np.concatenate((ends, 2 * ends[:1] - ends[1:]))) for ends in c]
+    near, none = meeting(swept[0], swept[-1]), np.empty(0, dtype=np.intp)
+    if not len(near):
+        return [(none, none)] * len(sides)
+    every = [(*of, np.stack([_units(part) for part in of[0]])) for of in zip(c, corners)]
+    pairs = zip(every, every[::-1], (near, near[:, ::-1]))  # one pair for one surface
+    return [_went_through(*pair, least, itself=len(sides) == 1) for pair in pairs]
+
+
+def _went_through(mine, others, near: Ints, least: float, *, itself: bool) -> tuple[Ints, Ints]:
+    """The same of one surface.
+
+    Args:
+        mine: Its simplices before and after, ``(2, num, n, n)``, their vertices, ``(num, n)``, and
+            unit normals, ``(2, num, n)``.
+        others: Those of the other one.
+        near: Simplices of both that may meet, ``(num_pairs, 2)``.
+        least: Depth treated as zero.
+        itself: True if both are one surface.
+    """
+    (y, own, _), (c, corners, n) = mine, others
+    x = ((y + y.mean(axis=2, keepdims=True)) / 2).reshape(2, -1, y.shape[3])
+    y, num = y[0], own.shape[1]
+    v, f = (num * near[:, :1] + np.arange(num)).ravel(), np.repeat(near[:, 1], num)
     h0, h1 = np.einsum("tpi,tpi->tp", x[:, v] - c[:, f, 0], n[:, f])
     may = h1 < np.minimum(2 * h0, -least)  # else it doesn't come nearer by what it ends behind
-    (low, high), (low_f, high_f) = (_boxes(way).swapaxes(0, 1) for way in ways)
-    may &= (h0 < 0) | ((low[v] <= high_f[f]) & (low_f[f] <= high[v])).all(axis=1)
     if itself:
-        may &= (corners[f][:, :, None] != own[v // own.shape[1]][:, None]).all(axis=(1, 2))
+        may &= (corners[f][:, :, None] != own[v // num][:, None]).all(axis=(1, 2))
+    if not may.any():
+        return v[:0], v[:0]
     v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
-    if not len(v):
-        return v, v
+    (low, high), (low_f, high_f) = (_boxes(way).swapaxes(0, 1) for way in (x[:, v, None], c[:, f]))
+    may = (h0 < 0) | ((low <= high_f) & (low_f <= high)).all(axis=1)
+    v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
     far = 2 * np.minimum(h0 - h1, -h1)
-    on = own[v // own.shape[1]]
+    on = own[v // num]
     deep = np.minimum(
         _walls(y, x[0][v], far[:, None] * n[0, f], own, on),
         _walls(c[0], c[0][f].mean(axis=1), -far[:, None] * n[0, f], corners, corners[f]),
@@ -172,7 +189,7 @@ def went_through(
         facet = middle[0] + t[:, None] * (middle[1] - middle[0])
         front = np.einsum("pi,pi->p", at - facet[:, 0], normals_by_area(facet)) > 0
         low, high = np.where(front, t[:, 0], low), np.where(front, high, t[:, 0])
-    passed, found = np.ones(len(mine[0].x), dtype=bool), np.zeros(x.shape[1], dtype=bool)
+    passed, found = np.ones(own.max() + 1, dtype=bool), np.zeros(x.shape[1], dtype=bool)
     there = np.flatnonzero(_are_inside(at, facet))
     if not itself:
         p, s, off, shares = _near(at[there], t[there, 0], c, deep[there] / 2)
@@ -180,7 +197,7 @@ def went_through(
         foot = np.einsum("pc,pci->pi", shares, c[0, s])
         lean, beside = (
             np.einsum("pi,pi->p", normals, n[0, s])
-            for normals in (_units(y)[on // own.shape[1]], n[0, f[there[p]]])
+            for normals in (mine[2][0, on // num], n[0, f[there[p]]])
         )
         shallow = (lean < np.finfo(float).eps ** 0.5) & (beside > FACING_COSINE)
         shallow &= np.isinf(np.minimum(_walls(y, x[0][on], way), _walls(c[0], foot, -way)))
