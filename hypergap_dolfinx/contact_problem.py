@@ -3,6 +3,7 @@
 """Bodies in contact, solved load step by load step."""
 
 import logging
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any
@@ -244,6 +245,7 @@ class ContactProblem(ContactSystem):
         without = (*self._u, *hooks.internal_variables)
         self._path = LoadPath(self._comm, values_of(forms, bcs, moved, values, without=without))
         self._last = Extrapolation(self._comm)
+        self._cells: dict[int, dict[str, Any]] = defaultdict(dict)  # before displacements, by body
         self._halvings = 0
         for doubt in told_sizes if self._comm.rank == 0 else ():
             LOG.warning(doubt)
@@ -686,7 +688,7 @@ class ContactProblem(ContactSystem):
             if ("over", b) in self._told:
                 continue
             u = self._moving[b].own_function(self._u[b])
-            places = [x for part in comm.allgather(turned_over(u)) for x in part]
+            places = [x for part in comm.allgather(turned_over(u, self._cells[b])) for x in part]
             if places:
                 self._warn_once(
                     ("over", b),

@@ -8,6 +8,7 @@ Every check is collective and raises the same exception on every rank.
 import logging
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -122,22 +123,30 @@ def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
         )
 
 
-def turned_over(u: fem.Function) -> npt.NDArray[np.float64]:
+def turned_over(u: fem.Function, known: dict[str, Any]) -> npt.NDArray[np.float64]:
     """Middles of this rank's cells that displacements turn over at a node, ``(num, n)``.
 
     There is no Gauss point in nodes: residuals are balanced even so. Places are those before
     displacements; cells that were turned over already aren't among them.
+
+    Args:
+        u: The displacements.
+        known: What is found for the mesh before, empty at first.
     """
     V, mesh = u.function_space, u.function_space.mesh
     n, num = mesh.geometry.dim, mesh.topology.index_map(mesh.topology.dim).size_local
     element, start = lagrange_element(V)[0], V.tabulate_dof_coordinates()[:, :n]
     points = element.points if element.dim > n + 1 else element.points[:1]  # det J is constant
-    given = element, V.dofmap.list[:num], points, points[:0]
-    found, both = [start[:0]], np.stack((start, start + u.x.array.reshape(-1, n)))
-    for x, (before, after), _ in _determinants(both, *given):
-        over = (np.sign(before) * after < 0).any(axis=1)
-        found.append(x[0, over].mean(axis=1))
-    return np.concatenate(found)
+    cells = V.dofmap.list[:num]
+    given = element, cells, points, points[:0]
+    if not known or not np.array_equal(known["x"], start):  # not where users move nodes
+        signs = [np.sign(det).astype(np.int8) for _, det, _ in _determinants(start, *given)]
+        known.update(x=start, signs=signs)
+    over = [np.zeros(0, dtype=bool)]
+    after = _determinants(start + u.x.array.reshape(-1, n), *given)
+    for sign, (_, det, _) in zip(known["signs"], after, strict=True):
+        over.append((sign * det < 0).any(axis=1))
+    return start[cells[np.concatenate(over)]].mean(axis=1)
 
 
 def _cells_at(mesh: Mesh, facets: Sequence[npt.ArrayLike]) -> npt.NDArray[np.bool_]:
@@ -170,8 +179,7 @@ def _determinants(x, element, cells, inside, boundary):
     """Yield a chunk's nodes (cell, node, n), det J (cell, point) and the number of points inside.
 
     Args:
-        x: Geometry nodes, ``(num_nodes, n)``; with more axes before these, what is yielded has
-            them, too.
+        x: Geometry nodes, ``(num_nodes, n)``.
         element: Basix element of the geometry.
         cells: Nodes of each cell.
         inside: Reference points, ``(num_inside, n)``.
@@ -179,7 +187,7 @@ def _determinants(x, element, cells, inside, boundary):
     """
     dpsi = element.tabulate(1, np.vstack((inside, boundary)))[1:, :, :, 0]  # (axis, point, node)
     for start in range(0, len(cells), _chunk):
-        nodes = x[..., cells[start : start + _chunk], :]
+        nodes = x[cells[start : start + _chunk]]
         J = np.moveaxis(np.tensordot(nodes, dpsi, (-2, 2)), -1, -3)
         with np.errstate(invalid="ignore"):  # NaN in coordinates are left to other checks
             det = _det(J)
