@@ -106,9 +106,10 @@ class Segments(ABC):
     def _at(self, u: Displacements) -> Blended:
         """Gaps where the bodies are, known ones if they were there before."""
         for place, known in self._last:
-            if all(map(np.array_equal, u, place)):
+            if all(a is b or np.array_equal(a, b) for a, b in zip(u, place, strict=True)):
                 return known
-        u = u[0].copy(), u[1].copy()
+        u0, u1 = (part.copy() if part.flags.writeable else part for part in u)
+        u = u0, u1
         found = Blended(self._find(u), self.beside, self.num_multipliers)
         self._last = [(u, found), *self._last[:1]]
         return found

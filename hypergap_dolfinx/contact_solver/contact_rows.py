@@ -257,6 +257,8 @@ class ContactRows:
             InterfaceError: There is no Σ, though the sides face each other.
         """
         self.u = self.displacements([f.x.array for f in self.fields])
+        for part in self.u:
+            part.flags.writeable = False  # known by identity
         if self.start is None:
             self.start = self.before()
         g, m, C = self._find()

@@ -67,8 +67,18 @@ class MovingSurface:
         """Geometry nodes of a facet that are its vertices; cached, as Basix is slow here."""
         return [nodes[0] for nodes in self.rest.geometry.entity_dofs[0]]
 
+    @cached_property
+    def _last(self) -> list[tuple[npt.NDArray[np.float64], Surface]]:
+        return []
+
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
-        """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``."""
+        """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``.
+
+        The last one is kept if u can't be written to.
+        """
+        for known, surface in self._last:
+            if known is u:
+                return surface
         rest = self.rest
         nodes = rest.nodes + self._of_parts(self.nodes_by_dofs, u)
         if rest.turned is not None:
@@ -77,7 +87,10 @@ class MovingSurface:
             nodes += np.stack((added.real, added.imag), axis=-1)
         x = np.empty_like(rest.x)
         x[rest.facets] = nodes[:, self._corners]
-        return replace(rest, x=x, nodes=nodes)
+        found = replace(rest, x=x, nodes=nodes)
+        if not u.flags.writeable:
+            self._last[:] = [(u, found)]
+        return found
 
     def at_vertices(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Values at vertices from those at :attr:`dofs`, ``(num_dofs, n)``."""
