@@ -795,9 +795,9 @@ class ContactRows:
         found = [Sparse(acting.j, start + acting.i, self._root * acting.values)]
         part, a = np.divmod(rows.i, num)
         values = self._root * rows.values * by_y[:, part, a]
-        i, e = np.nonzero(values * on.reshape(-1, num)[:, a])
+        i, e = np.nonzero((values != 0) & on.reshape(-1, num)[:, a])
         found.append(Sparse(start + num * i + a[e], rows.j[e], values[i, e]))
-        i, j, a = np.nonzero(by_f * on.reshape(-1, 1, num))
+        i, j, a = np.nonzero((by_f != 0) & on.reshape(-1, 1, num))
         found.append(Sparse(start + num * i + a, start + num * j + a, -k * by_f[i, j, a]))
         beside = self._pressed_by(by_y)
         self._beside = beside = beside.some(on[beside.i])

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.compiled import call
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.surface.search import meeting
+from hypergap_dolfinx.surface.search import meet, meeting
 from hypergap_dolfinx.surface.tolerances import FACING_COSINE
 from hypergap_dolfinx.surface.trace import Surface, lengths, normals_by_area
 
@@ -149,11 +149,12 @@ def went_through(sides: Sequence[tuple[Surface, Surface]], least: float) -> list
     shift = (c[-1][1] - c[-1][0]).mean(axis=(0, 1))
     for ends in c:
         ends[1] -= shift
-    swept = [_boxes(np.concatenate((ends, 2 * ends[:1] - ends[1:]))) for ends in c]
+    swept = [_boxes(_there_and_back(ends)) for ends in c]
     near, none = meeting(swept[0], swept[-1]), np.empty(0, dtype=np.intp)
     if not len(near):
         return [(none, none)] * len(sides)
-    every = [(*of, np.stack([_units(part) for part in of[0]])) for of in zip(c, corners)]
+    n = [np.stack([_units(part) for part in ends]) for ends in c]
+    every = list(zip(corners, c, n, swept, strict=True))
     pairs = zip(every, every[::-1], (near, near[:, ::-1]))  # one pair for one surface
     return [_went_through(*pair, least, itself=len(sides) == 1) for pair in pairs]
 
@@ -162,26 +163,28 @@ def _went_through(mine, others, near: Ints, least: float, *, itself: bool) -> tu
     """The same of one surface.
 
     Args:
-        mine: Its simplices before and after, ``(2, num, n, n)``, their vertices, ``(num, n)``, and
-            unit normals, ``(2, num, n)``.
+        mine: Vertices of its simplices, ``(num, n)``, before and after these themselves,
+            ``(2, num, n, n)``, and their unit normals, ``(2, num, n)``, and boxes around their
+            ways, ``(num, 2, n)``.
         others: Those of the other one.
         near: Simplices of both that may meet, ``(num_pairs, 2)``.
         least: Depth treated as zero.
         itself: True if both are one surface.
     """
-    (y, own, _), (c, corners, n) = mine, others
-    x = ((y + y.mean(axis=2, keepdims=True)) / 2).reshape(2, -1, y.shape[3])
-    y, num = y[0], own.shape[1]
+    (own, y, own_n, _), (corners, c, n, swept) = mine, others
+    x, num = ((y + y.mean(axis=2, keepdims=True)) / 2).reshape(2, -1, y.shape[3]), own.shape[1]
+    y, ways = y[0], (x[:, :, None], c)
     v, f = (num * near[:, :1] + np.arange(num)).ravel(), np.repeat(near[:, 1], num)
+    may = meet(_boxes(_there_and_back(ways[0]))[v], swept[f])
+    v, f = v[may], f[may]
     h0, h1 = np.einsum("tpi,tpi->tp", x[:, v] - c[:, f, 0], n[:, f])
     may = h1 < np.minimum(2 * h0, -least)  # else it doesn't come nearer by what it ends behind
     if itself:
         may &= (corners[f][:, :, None] != own[v // num][:, None]).all(axis=(1, 2))
     if not may.any():
         return v[:0], v[:0]
-    v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
-    (low, high), (low_f, high_f) = (_boxes(way).swapaxes(0, 1) for way in (x[:, v, None], c[:, f]))
-    may = (h0 < 0) | ((low <= high_f) & (low_f <= high)).all(axis=1)
+    way_x, way_f = map(_boxes, ways)
+    may &= (h0 < 0) | meet(way_x[v], way_f[f])
     v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
     far = 2 * np.minimum(h0 - h1, -h1)
     on = own[v // num]
@@ -210,7 +213,7 @@ def _went_through(mine, others, near: Ints, least: float, *, itself: bool) -> tu
         foot = np.einsum("pc,pci->pi", shares, c[0, s])
         lean, beside = (
             np.einsum("pi,pi->p", normals, n[0, s])
-            for normals in (mine[2][0, on // num], n[0, f[there[p]]])
+            for normals in (own_n[0, on // num], n[0, f[there[p]]])
         )
         shallow = (lean < np.finfo(float).eps ** 0.5) & (beside > FACING_COSINE)
         shallow &= np.isinf(np.minimum(_walls(y, x[0][on], way), _walls(c[0], foot, -way)))
@@ -230,6 +233,11 @@ def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
 def _boxes(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Boxes around moving sets of points, ``(num_times, num_sets, num_points, n)``."""
     return np.stack((x.min(axis=(0, 2)), x.max(axis=(0, 2))), axis=1)
+
+
+def _there_and_back(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Places before and after, ``(2, ...)``, and as far back as they moved."""
+    return np.concatenate((x, 2 * x[:1] - x[1:]))
 
 
 def _units(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -39,12 +39,12 @@ def meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
             if len(sets[1 - k]):
                 others = boxes[1 - k][sets[1 - k]]
                 hull = np.stack((others[:, 0].min(axis=0), others[:, 1].max(axis=0)))
-                sets[k] = sets[k][_meet(boxes[k][sets[k]], hull)]
+                sets[k] = sets[k][meet(boxes[k][sets[k]], hull)]
         i, j = sets
         if not len(i) or not len(j):
             continue
         if len(i) * len(j) <= 4096:  # compared pair by pair
-            at0, at1 = np.nonzero(_meet(boxes0[i][:, None], boxes1[j][None]))
+            at0, at1 = np.nonzero(meet(boxes0[i][:, None], boxes1[j][None]))
             found.append(np.column_stack((i[at0], j[at1])))
             continue
         k = int(len(j) > len(i))
@@ -56,7 +56,7 @@ def meeting(boxes0: npt.NDArray, boxes1: npt.NDArray) -> npt.NDArray[np.intp]:
     return pairs[np.lexsort(pairs.T[::-1])]
 
 
-def _meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
+def meet(a: npt.NDArray, b: npt.NDArray) -> npt.NDArray[np.bool_]:
     """Mask of intersecting boxes ``(..., 2, n)``."""
     return (a[..., 0, :] <= b[..., 1, :]).all(axis=-1) & (b[..., 0, :] <= a[..., 1, :]).all(axis=-1)
 
