@@ -330,12 +330,16 @@ class FrictionRows(ContactRows):
         return np.concatenate((super().given(p), 0 * f[num:], forces))
 
     def wrong(self, y, f) -> npt.NDArray[np.bool_]:
-        """Mask of multipliers whose state differs from the working set, ``(num_unknowns,)``."""
+        """Mask of multipliers whose laws don't hold, ``(num_unknowns,)``.
+
+        Their state differs from the working set, or their law isn't linear in it: tractions turn
+        where they slip, and grow with pressure and elastic slip.
+        """
         every, now = np.arange(len(self.g)), self.state
         y, f = (v.reshape(-1, len(self.g)) for v in (y, f))
-        closed, rubs, sticks, way = states = self._states(y, f, every)
-        other = (closed != now.active) | (rubs != self.rubs) | (rubs & (sticks != now.sticks))
-        other |= rubs & ~sticks & ((way * now.way).sum(axis=0) <= 0)
+        closed, rubs, sticks, _ = states = self._states(y, f, every)
+        other = (closed != now.active) | (rubs != self.rubs)
+        other |= rubs if self._soft else rubs & ~(sticks & now.sticks)
         other &= self.valid
         if other.any():
             error, _, _, least = self.law(y, f, every, states)
