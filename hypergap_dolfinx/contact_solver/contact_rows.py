@@ -404,12 +404,14 @@ class ContactRows:
         """Sizes treated as zero, of multipliers in the working set or of gaps outside."""
         return np.where(self.state.active, *self._least)
 
-    def wrong(self, y, f) -> npt.NDArray[np.bool_]:
-        """Mask of multipliers whose state differs from the working set, ``(num_unknowns,)``.
+    def wrong(self, y, f, *, exactly: bool = True) -> npt.NDArray[np.bool_]:
+        """Mask of multipliers whose laws don't hold, ``(num_unknowns,)``.
 
         Args:
             y: Gaps, ``(num_unknowns,)``.
             f: Multipliers, ``(num_unknowns,)``.
+            exactly: False if laws, linearised in the working set, needn't hold where the state is
+                the same as in that.
         """
         return self.valid & (np.where(self.state.active, f, y) < -self.least())
 

@@ -329,17 +329,17 @@ class FrictionRows(ContactRows):
             forces = bears.products(np.ascontiguousarray(p.T), num).T
         return np.concatenate((super().given(p), 0 * f[num:], forces))
 
-    def wrong(self, y, f) -> npt.NDArray[np.bool_]:
-        """Mask of multipliers whose laws don't hold, ``(num_unknowns,)``.
+    def wrong(self, y, f, *, exactly: bool = True) -> npt.NDArray[np.bool_]:
+        """The same; of laws that aren't linear in a state the error counts, too.
 
-        Their state differs from the working set, or their law isn't linear in it: tractions turn
-        where they slip, and grow with pressure and elastic slip.
+        Tractions turn where they slip, and are products of pressure and elastic slip.
         """
         every, now = np.arange(len(self.g)), self.state
         y, f = (v.reshape(-1, len(self.g)) for v in (y, f))
-        closed, rubs, sticks, _ = states = self._states(y, f, every)
-        other = (closed != now.active) | (rubs != self.rubs)
-        other |= rubs if self._soft else rubs & ~(sticks & now.sticks)
+        closed, rubs, sticks, way = states = self._states(y, f, every)
+        other = (closed != now.active) | (rubs != self.rubs) | (rubs & (sticks != now.sticks))
+        turns = rubs & (~sticks | (self._soft > 0))
+        other |= turns & (exactly | (~sticks & ((way * now.way).sum(axis=0) <= 0)))
         other &= self.valid
         if other.any():
             error, _, _, least = self.law(y, f, every, states)

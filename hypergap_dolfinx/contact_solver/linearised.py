@@ -36,7 +36,14 @@ from hypergap_dolfinx.contact_solver.complementarity import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent, NotPositive
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import ADDED, PIVOT, SHORTENED, STEPS, TRIALS
+from hypergap_dolfinx.contact_solver.tolerances import (
+    ADDED,
+    GUESSED,
+    PIVOT,
+    SHORTENED,
+    STEPS,
+    TRIALS,
+)
 from hypergap_dolfinx.surface.moving import Sparse
 
 Array = npt.NDArray[np.float64]
@@ -185,10 +192,10 @@ class LinearisedContact:
             guesses: As in :meth:`solve`.
         """
         changes, y, f = self._base(right, shift)
-        more = self._wrong(y, f)
+        more = self._wrong(y, f, guesses)
         if not guesses.allow(len(more)) and self._tangent.improves(len(more)):
             changes, y, f = self._base(right, shift, anew=True)
-            more = self._wrong(y, f)
+            more = self._wrong(y, f, guesses)
         if not len(more):
             return self._found(changes, y, f, more, f)
         if guesses.allow(len(more)):
@@ -205,7 +212,7 @@ class LinearisedContact:
             if is_solved:
                 z = found
                 y, f = y0 + B @ z, f0 + A @ z
-                more = self._wrong(y, f)
+                more = self._wrong(y, f, guesses)
                 more = more[~np.isin(more, of)]
                 continue
             holds = (self._tangent.negative or 0) <= num  # H positive with A closed, or not known
@@ -389,10 +396,18 @@ class LinearisedContact:
         y = np.concatenate([part.new_gaps(changes) for part in self._rows]) + self._given(f)
         return changes, y, np.concatenate(f)
 
-    def _wrong(self, y: Array, f: Array) -> npt.NDArray[np.intp]:
-        """Numbers of the unknowns whose state is another one than in the working set."""
-        parts = zip(self._rows, *self._both(y, f), strict=True)
-        return np.flatnonzero(np.concatenate([part.wrong(*of) for part, *of in parts]))
+    def _wrong(self, y: Array, f: Array, guesses: Guesses) -> npt.NDArray[np.intp]:
+        """Numbers of the unknowns whose laws don't hold; if they are many, whose state is wrong.
+
+        Laws in the right state are solved exactly by guesses if these are cheap, or by few columns.
+        """
+        parts = list(zip(self._rows, *self._both(y, f), strict=True))
+        for exactly in (True, False):
+            masks = [part.wrong(*of, exactly=exactly) for part, *of in parts]
+            found = np.flatnonzero(np.concatenate(masks))
+            if len(found) <= GUESSED or guesses.patience > 0:
+                break
+        return found
 
     @staticmethod
     def _split(values: npt.NDArray, ends: npt.NDArray) -> list[npt.NDArray]:
