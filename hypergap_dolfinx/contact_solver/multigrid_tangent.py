@@ -523,7 +523,11 @@ class MultigridTangent:
 
     def work(self, changes: Sequence[npt.NDArray]) -> float:
         """Work of the last matrix on changes of the bodies; as ``Tangent.work``."""
-        return self._projection.work(np.concatenate(changes))
+        more = self._matrix(self._now.more, self._near)  # without eliminated multipliers
+        found = self._projection.work(np.concatenate(changes), more)
+        if more is not None:
+            more.destroy()
+        return found
 
 
 def _is_same(a: Linear, b: Linear) -> bool:

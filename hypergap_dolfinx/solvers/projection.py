@@ -181,15 +181,15 @@ class Projection:
         """Apply ΠᵀKΠ."""
         x.copy(self._u)
         self._project(self._u)
-        self._stiffness_times(self._u, y)
+        self._stiffness_times(self._u, y, self._more)
         self._project_transpose(y)
 
-    def _stiffness_times(self, u: PETSc.Vec, y: PETSc.Vec):
+    def _stiffness_times(self, u: PETSc.Vec, y: PETSc.Vec, more: PETSc.Mat | None):
         self.K.mult(u, y)
         if self.factor != 1:
             y.scale(self.factor)
-        if self._more is not None:
-            self._more.multAdd(u, y, y)
+        if more is not None:
+            more.multAdd(u, y, y)
 
     def _project(self, u: PETSc.Vec):
         """Apply Π in place."""
@@ -208,11 +208,16 @@ class Projection:
             self._c.axpby(-1.0, 0.0, self._y)
             self._Ft.multAdd(self._c, r, r)
 
-    def work(self, values: npt.NDArray) -> float:
-        """Work of the stiffness on displacements, given this rank's part."""
+    def work(self, values: npt.NDArray, more: PETSc.Mat | None = None) -> float:
+        """Work of the stiffness on displacements.
+
+        Args:
+            values: This rank's part of these.
+            more: What is added to the stiffness.
+        """
         x, y = self.b.duplicate(), self.b.duplicate()
         x.array[:] = values
-        self._stiffness_times(x, y)
+        self._stiffness_times(x, y, more)
         found = y.dot(x)
         for vector in (x, y):
             vector.destroy()
@@ -239,7 +244,7 @@ class Projection:
 
     def load(self, loads: npt.NDArray, u: PETSc.Vec, r: PETSc.Vec):
         """Set r = Πᵀ(f − K u), and the multipliers."""
-        self._stiffness_times(u, r)
+        self._stiffness_times(u, r, self._more)
         r.array[:] = loads - r.array_r
         self._project_transpose(r)
 
