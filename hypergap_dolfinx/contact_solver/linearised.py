@@ -17,9 +17,10 @@ no solution but a ray: a body turns, and nothing resists. The first row that get
 it joins. If there is none, the linearised problem has no solution.
 
 With friction a multiplier has n equations: one of the gap, the others of its slip, which sticks or
-slips. A multiplier with a wrong state gets n unknowns. The small problem then contains Coulomb's
-law, and is solved by Newton's method with a line search. The normal forces that bound friction at a
-vertex are sums of several multipliers. So they are found with gaps and slips, behind these.
+slips. A multiplier with a wrong state gets n unknowns. So does one whose law isn't linear in its
+state, as where tractions turn. The small problem then contains Coulomb's law, and is solved by
+Newton's method with a line search. The normal forces that bound friction at a vertex are sums of
+several multipliers. So they are found with gaps and slips, behind these.
 """
 
 from collections.abc import Callable, Sequence

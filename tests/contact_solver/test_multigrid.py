@@ -20,7 +20,12 @@ import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, SolveError, Tie
-from hypergap_dolfinx.contact_solver import contact_system, multigrid_tangent, tangent
+from hypergap_dolfinx.contact_solver import (
+    contact_system,
+    linearised,
+    multigrid_tangent,
+    tangent,
+)
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact
 from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
@@ -233,6 +238,44 @@ def test_linear_problems_take_one_step():
     """Multigrid solves as accurately as rtol asks for, as factors do."""
     scene = Pressed(4, sliding="small", rtol=1e-12, solver="iterative")
     assert scene.solve(DOWN[1:2]) == [1]
+
+
+TURNS = (*DOWN[1:], (0.05, 0.02, -0.08), (0.05, -0.05, -0.08))
+
+
+@pytest.mark.parametrize("solver", ["direct", "iterative"])
+@pytest.mark.parametrize("soft", [0, 0.01])
+def test_linear_problems_with_friction_take_one_step(solver, soft):
+    """Tractions that turn where they slip, or grow with elastic slip, are found in it."""
+    options = {"sliding": "small", "friction": 0.3, "elastic_slip": soft}
+    scene = Pressed(3, rtol=1e-12, solver=solver, **options)
+    assert scene.solve(TURNS) == [1, 1, 1]
+    assert scene.contact.slipping.any()
+
+
+def test_many_laws_in_several_steps(monkeypatch):
+    """Many laws are linearised in their states, with the same result."""
+    scenes = []
+    for least in (0, tangent.GUESSED):
+        for module in (linearised, tangent):
+            monkeypatch.setattr(module, "GUESSED", least)
+        scenes.append(Pressed(3, sliding="small", friction=0.3, solver="direct"))
+        scenes[-1].steps = scenes[-1].solve(TURNS)
+    assert max(scenes[0].steps) > 1 == max(scenes[1].steps)
+    p, q = (scene.contact.rows.state.p for scene in scenes)
+    np.testing.assert_allclose(p, q, atol=1e-7 * q.max())
+
+
+def test_work_of_a_step():
+    """It is that of the stiffness, without what friction that is eliminated adds."""
+    found = []
+    for solver in ("direct", "iterative"):
+        scene = Pressed(3, friction=0.8, solver=solver)
+        scene.solve(ACROSS[1:])
+        rng, problem = np.random.default_rng(0), scene.problem
+        changes = [~held * rng.standard_normal(len(held)) for held in problem._held]
+        found.append(problem._tangent.work(changes))
+    np.testing.assert_allclose(*found, rtol=1e-6)
 
 
 @pytest.mark.ranks(2)
