@@ -898,6 +898,11 @@ class ContactRows:
         self._acting = joined(*(a.scaled(w) for a, w in zip((self._acting, other[0]), weights)))
         self._take(total)
 
+    def act_along(self, acting: Sparse):
+        """Take other forces by the multipliers."""
+        values, self._acting = self.acting[1], acting
+        self._take(values)
+
     def _take(self, values: npt.NDArray[np.float64]):
         """Take multipliers, and what acts along their rows."""
         num = len(self.g)

@@ -4,7 +4,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -28,6 +28,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 from hypergap_dolfinx.contact_solver.continuation import Continuation
 from hypergap_dolfinx.contact_solver.force_balance import ForceBalance
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
+from hypergap_dolfinx.contact_solver.kinks import Kink
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution, largest_change
 from hypergap_dolfinx.contact_solver.multigrid_tangent import (
     IterationFailed,
@@ -86,6 +87,8 @@ class ContactSystem(NonlinearSystem):
            step turns back, with negative work ─→ it is taken backwards, up to PATIENCE times
            stiffness was added, and forces along
            the step act still at its end ───────→ it is lengthened to where they vanish
+           a step turns back, and forces along it
+           are reversed by a jump ──────────────→ it is shortened to that kink, which is held
            PATIENCE steps, and forces along the
            next are reversed by its end ────────→ it is shortened to where they vanish
            STEPS steps, the last one of no use ─→ the load step fails
@@ -101,8 +104,9 @@ class ContactSystem(NonlinearSystem):
       don't slip, and tractions are μ p at the others (``ContactRows.is_closed``).
 
     At a kink of a gap any derivative between those on both sides may act (Clarke's). Newton steps
-    across one become as short as displacements that are treated as zero. Then forces may balance
-    that lie between those of the last two states (:meth:`_balances_between`).
+    end at a kink that is held (:mod:`~hypergap_dolfinx.contact_solver.kinks`). Across others they
+    become as short as displacements that are treated as zero. Then forces may balance that lie
+    between those of the last two states (:meth:`_balances_between`).
 
     With friction there is one more step if gaps aren't closed to round-off.
     """
@@ -171,6 +175,7 @@ class ContactSystem(NonlinearSystem):
         self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
         self._before: tuple[list, list, list] | None = None  # values, residual and forces
+        self._kink: Kink | None = None  # at which displacements stay
         self._stiffness_of, self._told_loose = list[int | None](), list[int]()
         self._finest = min(float(s.reference.size.min()) for rows in self._rows for s in rows.sides)
         depends = self._depends[: self._num_elastic]
@@ -414,10 +419,12 @@ class ContactSystem(NonlinearSystem):
         self._balance.start_step()
         self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
+        self._kink = None
         share, step = 1.0, 0
         while True:
             for rows in self._rows:
                 rows.update_geometry()
+            self._stay_at_kink()
             self._hooks("before_step")
             self._evaluate(self._x, self._b)
             if not self._is_finite():
@@ -426,17 +433,20 @@ class ContactSystem(NonlinearSystem):
                     raise SolveError(self._inverted())
                 self._go(*way, share)
                 continue
-            if way is not None and (factor := continuation.factor(self._left_of_bodies)) != 1:
-                share, self._reach = factor * share, factor * self._reach
-                self._go(*way, share)
-                continue
+            if way is not None:
+                reaches = partial(self._reaches_kink, way, share, least)
+                factor = continuation.factor(self._left_of_bodies, reaches)
+                if factor != 1:
+                    share, self._reach = factor * share, factor * self._reach
+                    self._go(*way, share)
+                    continue
             jump, to_go = self._jump()
             if step == 0:
                 self._assemble_what_moved()
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
                 rows.start_set(stiffness, zero)
-            is_balanced = self._balances() or self._balances_between()
+            is_balanced = self._balances() or (self._kink is None and self._balances_between())
             self._record(step)
             self._interrupts.check()
             if is_balanced and (step or (self._is_exact and not self._hold_too_much())):
@@ -460,10 +470,66 @@ class ContactSystem(NonlinearSystem):
             way, work, is_stiffened = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            forces = self._left_of_bodies if to_go <= least else None
+            forces = self._left_of_bodies if to_go <= least and not self._kink else None
             share = continuation.share(moves, work, forces, is_stiffened)
             if share != 1:
                 self._go(*way, share)
+
+    def _reaches_kink(
+        self,
+        way: tuple[SystemState, SystemState],
+        share: float,
+        least: float,
+        start: float,
+        end: float,
+    ) -> bool:
+        """Go to a kink across which forces along a step are reversed; false if there is none.
+
+        Args:
+            way: The states before and after the step.
+            share: Share of the step at whose end they are reversed.
+            least: Displacement treated as zero.
+            start: Forces along the step at its start.
+            end: The same at that end.
+        """
+        if share <= 0:
+            return False
+        before, after = way
+        changes = [share * (b - a) for a, b in zip(before.values, after.values, strict=True)]
+        kink = Kink(self._rows, changes, largest_change(self._comm, changes, self._fixed), least)
+        go_to = self._mover(before.values, changes)
+        if kink.find(go_to, start, end):
+            self._kink = kink
+        else:
+            go_to(1.0)
+        self._evaluate(self._x, self._b)
+        return self._kink is not None
+
+    def _mover(
+        self, values: Sequence[npt.NDArray], changes: Sequence[npt.NDArray]
+    ) -> Callable[[float], None]:
+        """Function that goes to a place on a way, and finds the gaps there.
+
+        Args:
+            values: This rank's unknowns where the way starts.
+            changes: Their changes along it.
+        """
+
+        def go_to(place: float):
+            for x, a, more in zip(self._x.getNestSubVecs(), values, changes, strict=True):
+                x.array[:] = a + place * more
+            self._assign(self._x)
+            for rows in self._rows:
+                rows.update_geometry()
+
+        return go_to
+
+    def _stay_at_kink(self):
+        """Take the forces on both sides of the kink that is held, unless it isn't near."""
+        if self._kink:
+            values = [part.array_r.copy() for part in self._x.getNestSubVecs()]
+            is_near = self._kink.is_near(self._mover(values, self._kink.way))
+            self._kink = self._kink if is_near else None
 
     def _is_clear(self, ahead: Sequence[npt.NDArray], since: Sequence[Displacements]) -> bool:
         """True if nothing overlaps or has passed after these changes. Collective.
@@ -553,7 +619,11 @@ class ContactSystem(NonlinearSystem):
 
         balance = self._balance  # forces of soft bodies balance, too
         self._tangent.floor = 0.01 * self._rtol * balance.in_bodies + balance.round_off
-        found = self._solution(solve)
+        if self._kink is None:
+            found = self._solution(solve)
+        else:
+            found, stays = self._kink.solved(lambda: self._with_moves(self._solution(solve)))
+            self._kink = self._kink if stays else None
         if not found.is_solved and self._leaves_what_touches(start, stiffness):
             again = self._solution(solve)
             found = again if again.is_solved else found
@@ -606,6 +676,11 @@ class ContactSystem(NonlinearSystem):
             again = self._falling_back(lambda: solve(guesses))
             found = again if again.is_solved else found
         return found
+
+    def _with_moves(self, found: Solution) -> tuple[Solution, list[Displacements]]:
+        """A solution with its displacements of each contact's sides. Collective."""
+        sides = [rows.from_bodies(found.changes) for rows in self._rows]
+        return found, [(-u0, -u1) for u0, u1 in sides]
 
     def _leaves_what_touches(self, start: SystemState, stiffness: float) -> bool:
         """Go back to the last sets: what touches can say the same twice. False if they are these.

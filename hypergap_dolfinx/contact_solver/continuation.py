@@ -15,6 +15,8 @@ left, or reversed.
 - Where stiffness was added to a tangent that isn't positive, steps are too short, and at their ends
   the forces may even have grown: a body snaps. Such a step is lengthened, up to the longest step of
   the load step.
+- Where a step turns back, and the forces along it are reversed by a jump, it ends at that kink
+  (:mod:`~hypergap_dolfinx.contact_solver.kinks`).
 - Newton's method converges in a few steps, or its steps can go on without an end. So the first ones
   are taken whole also where forces along them are reversed: a slender body that turns is stretched,
   and the next step takes that back. Later ones are shortened.
@@ -46,6 +48,7 @@ class Continuation:
         self._num_steps, self._num_back, self._is_stiffened = 0, 0, False
         self._square, self._longest, self._along = 0.0, 0.0, 0.0
         self._last_place, self._place = 0.0, 1.0
+        self._turns_back = False
         self._last: Moves | None = None
 
     def share(
@@ -66,27 +69,39 @@ class Continuation:
         """
         last = moves if self._last is None else self._last
         self._num_steps, self._is_stiffened = self._num_steps + 1, is_stiffened
-        left = forces() if forces and (is_stiffened or self._num_steps > PATIENCE) else ()
-        sums = np.array([sum(map(np.dot, moves, other)) for other in (last, moves, left)])
-        self._comm.Allreduce(MPI.IN_PLACE, sums)
-        (product, square, along), before = sums, self._square
+        product, square = self._products(moves, last, moves)
+        before = self._square
         self._last, self._square, self._along = moves, square, 0.0
         self._last_place, self._place = 0.0, 1.0
         self._longest = max(self._longest, square)
         largest = max((float(np.abs(part).max(initial=0)) for part in moves), default=0.0)
         if self._comm.allreduce(largest, MPI.MAX) <= self._least:
             return 1.0
-        if product < OSCILLATES * before and work < 0 and self._num_back < PATIENCE:
+        self._turns_back = product < OSCILLATES * before
+        if self._turns_back and work < 0 and self._num_back < PATIENCE:
             self._num_back, self._last = self._num_back + 1, [-part for part in moves]
             return -1.0
-        self._along = along
+        if forces and (is_stiffened or self._turns_back or self._num_steps > PATIENCE):
+            (self._along,) = self._products(moves, forces())
         return 1.0
 
-    def factor(self, forces: Callable[[], Moves]) -> float:
+    def _products(self, moves: Moves, *others: Moves) -> npt.NDArray[np.float64]:
+        """Products of increments with others or with forces. Collective."""
+        sums = np.array([sum(map(np.dot, moves, other)) for other in others], dtype=float)
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        return sums
+
+    def factor(
+        self,
+        forces: Callable[[], Moves],
+        reaches_kink: Callable[[float, float], bool] = lambda start, end: False,
+    ) -> float:
         """Factor by which the line search changes the last step; 1 where it ends. Collective.
 
         Args:
             forces: Gives this rank's residual of each body at the step's end, with its pressures.
+            reaches_kink: Goes to a kink that reverses the forces along the step, from those at its
+                start and at its end; false if there is none.
         """
         if self._along >= 0:
             return 1.0
@@ -98,7 +113,9 @@ class Continuation:
             if self._square > SHORTENED**2 * self._longest:
                 return 1.0
             self._along = along
-        elif left > OSCILLATES:
+        elif left > OSCILLATES or (self._turns_back and reaches_kink(start, along)):
+            return 1.0
+        elif not self._is_stiffened and self._num_steps <= PATIENCE:
             return 1.0
         zero = last_place + (place - last_place) / max(1 - left, SHORTENED**2)
         factor = float(np.clip(zero / place, SHORTENED, 1 / SHORTENED))
