@@ -25,10 +25,9 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     SystemState,
     share_ends,
 )
-from hypergap_dolfinx.contact_solver.continuation import Continuation
+from hypergap_dolfinx.contact_solver.continuation import Continuation, Kink
 from hypergap_dolfinx.contact_solver.force_balance import ForceBalance
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
-from hypergap_dolfinx.contact_solver.kinks import Kink
 from hypergap_dolfinx.contact_solver.linearised import LinearisedContact, Solution, largest_change
 from hypergap_dolfinx.contact_solver.multigrid_tangent import (
     IterationFailed,
@@ -104,7 +103,7 @@ class ContactSystem(NonlinearSystem):
       don't slip, and tractions are μ p at the others (``ContactRows.is_closed``).
 
     At a kink of a gap any derivative between those on both sides may act (Clarke's). Newton steps
-    end at a kink that is held (:mod:`~hypergap_dolfinx.contact_solver.kinks`). Across others they
+    end at a kink that is held (:class:`~.continuation.Kink`). Across others they
     become as short as displacements that are treated as zero. Then forces may balance that lie
     between those of the last two states (:meth:`_balances_between`).
 
