@@ -187,8 +187,7 @@ class Kink:
         last, d = self._forces, self._moves - since
         of_bodies = end - start + float((last - first) @ d)  # taken as linear
         low, high = (0.0, start), (1.0, end)
-        while high[0] - low[0] > self._least:
-            place = (low[0] + high[0]) / 2
+        while (place := self._between(low[0], high[0])) is not None:
             go_to(place)
             along = start + place * of_bodies - float((self._forces - first) @ d)
             low, high = ((place, along), high) if along < 0 else (low, (place, along))
@@ -261,12 +260,16 @@ class Kink:
             width /= SHORTENED
         else:
             return None
-        while high - low > self._least:
-            place = (low + high) / 2
+        while (place := self._between(low, high)) is not None:
             go_to(place)
             is_behind = (self._forces - (first + last) / 2) @ self._jump > 0
             low, high = (low, place) if is_behind else (place, high)
         return low, high
+
+    def _between(self, low: float, high: float) -> float | None:
+        """The place in the middle; None if these are as near as is treated as zero."""
+        place = (low + high) / 2
+        return place if high - low > self._least and low < place < high else None
 
     def _hold(self, go_to: GoTo, low: float, high: float):
         """Find the jump between two places."""
