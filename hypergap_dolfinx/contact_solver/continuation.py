@@ -260,10 +260,10 @@ class Kink:
             width /= SHORTENED
         else:
             return None
-        while (place := self._between(low, high)) is not None:
-            go_to(place)
+        while (middle := self._between(low, high)) is not None:
+            go_to(middle)
             is_behind = (self._forces - (first + last) / 2) @ self._jump > 0
-            low, high = (low, place) if is_behind else (place, high)
+            low, high = (low, middle) if is_behind else (middle, high)
         return low, high
 
     def _between(self, low: float, high: float) -> float | None:
