@@ -291,7 +291,7 @@ class FrictionRows(ContactRows):
     # The linearised contact problem
 
     def start_set(self, stiffness: float, zero: float, *, touches: bool = True):
-        """Choose the working set; in it new multipliers stick, unless they have slipped already."""
+        """Choose the working set; what sticks is kept, also of vertices without pressure."""
         super().start_set(stiffness, zero, touches=touches)
         now, bears, unit = self.state, self._bears, self._per_unit[0] / self._root
         bears = replace(bears, values=bears.values * unit[bears.j])  # in the units of laws
