@@ -501,6 +501,7 @@ class ContactSystem(NonlinearSystem):
             self._kink = kink
         else:
             go_to(1.0)
+        self._hooks("before_step")
         self._evaluate(self._x, self._b)
         return self._kink is not None
 

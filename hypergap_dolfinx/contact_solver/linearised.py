@@ -37,14 +37,7 @@ from hypergap_dolfinx.contact_solver.complementarity import Guesses
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows, Linear
 from hypergap_dolfinx.contact_solver.multigrid_tangent import MultigridTangent, NotPositive
 from hypergap_dolfinx.contact_solver.tangent import Tangent
-from hypergap_dolfinx.contact_solver.tolerances import (
-    ADDED,
-    GUESSED,
-    PIVOT,
-    SHORTENED,
-    STEPS,
-    TRIALS,
-)
+from hypergap_dolfinx.contact_solver.tolerances import ADDED, PIVOT, SHORTENED, STEPS, TRIALS
 from hypergap_dolfinx.surface.moving import Sparse
 
 Array = npt.NDArray[np.float64]
@@ -406,7 +399,7 @@ class LinearisedContact:
         for exactly in (True, False):
             masks = [part.wrong(*of, exactly=exactly) for part, *of in parts]
             found = np.flatnonzero(np.concatenate(masks))
-            if len(found) <= GUESSED or guesses.patience > 0:
+            if len(found) <= guesses.least or guesses.patience > 0:
                 break
         return found
 
