@@ -393,10 +393,11 @@ class LinearisedContact:
     def _wrong(self, y: Array, f: Array, guesses: Guesses) -> npt.NDArray[np.intp]:
         """Numbers of the unknowns whose laws don't hold; if they are many, whose state is wrong.
 
-        Laws in the right state are solved exactly by guesses if these are cheap, or by few columns.
+        Laws in the right state are solved exactly by guesses if these are cheap, or by few columns,
+        from solutions that are accurate enough.
         """
         parts = list(zip(self._rows, *self._both(y, f), strict=True))
-        for exactly in (True, False):
+        for exactly in (not self._tangent.is_rough, False):
             masks = [part.wrong(*of, exactly=exactly) for part, *of in parts]
             found = np.flatnonzero(np.concatenate(masks))
             if len(found) <= guesses.least or guesses.patience > 0:

@@ -406,6 +406,9 @@ class Tangent:
             raise UnsolvableError(saddle.not_unique(error))
         self._is_regular = True
 
+    is_rough = False
+    """True if the last solution is accurate enough only for signs: never."""
+
     def guesses(self) -> Guesses:
         """Rule for guesses of a step's working set: each costs a factorisation."""
         return Guesses(GUESSED)
