@@ -262,17 +262,19 @@ class Contact(Settable):
             contrast = moduli[1] / moduli[0]
         corners = [_has_corners(*pair) for pair in (sides, sides[::-1])]
         if max(contrast, 1 / contrast) >= STIFF:
-            swapped, why = contrast > 1, "far softer"
+            swapped, why = contrast > 1, ", the far softer one"
         elif corners[0] != corners[1]:
-            swapped, why = corners[0], "cornered"
+            swapped, why = corners[0], ", the cornered one"
         elif max(ratio, 1 / ratio) > ALIKE:  # corners of Γ0 slide best over small facets
-            swapped, why = (ratio < 1, "finer") if all(corners) else (ratio > 1, "coarser")
+            swapped, why = ratio > 1, ", the coarser one"
+            if all(corners):
+                swapped, why = ratio < 1, ", the finer one of two with corners"
         else:
-            swapped, why = contrast > 1, "softer" if contrast != 1 else ""
+            swapped, why = contrast > 1, ", the softer one" if contrast != 1 else ""
         contact = cls(*((b, a) if swapped else (a, b)), **options)
         contact._swapped = swapped
         name = label((a if swapped else b)[0].mesh)
-        chosen = f"the {'first' if swapped else 'second'} side{name}{why and f', the {why} one'}"
+        chosen = f"the {'first' if swapped else 'second'} side{name}{why}"
         contact._geometry.chosen = chosen
         if a[0].mesh.comm.rank == 0:
             LOG.info("Γ1 is %s", chosen)
@@ -417,7 +419,8 @@ class Contact(Settable):
                 ``sliding="finite"`` (with ``"small"`` pressures are per initial area), in space
                 with four vertices in contact to 8 %, with twelve to 1.4 %; unless
                 Γ0 ends within facets of Γ1: there the pressure per covered area is drawn on all of
-                the facet (a punch over 12 facets has 18 % more). Take the punch as Γ1 to draw it.
+                the facet (a punch over 12 facets has 18 % more). Take the punch as Γ1 to draw it,
+                unless it is far stiffer: then pressures on it scatter.
 
         Returns:
             Force per area of the displaced Γ1. Where bodies touch, cells of Σ have no volume; take

@@ -647,6 +647,15 @@ class ContactProblem(ContactSystem):
             ),
         )
         for c, rows in enumerate(self._rows):
+            slide, vertex = rows.slid()
+            if slide > FAR_PRESSURE / 2:
+                self._warn_once(
+                    ("slid", c),
+                    f"contact {c}: at {spot(rows.sides[1].displaced(rows.u[1]).x[[vertex]])} "
+                    f"surfaces slid along each other by {slide:.1f} facets of the finer side, but "
+                    'with sliding="small" pressures act between the places that face each other '
+                    'in the meshes; take sliding="finite".',
+                )
             left = [k for k in range(len(kinds)) if ("far", c, k) not in self._told]
             poked = self._poked[c]
             found = [(float(len(poked)), 0), *(rows.reaches(FAR_PRESSURE / 2) if left else [])]

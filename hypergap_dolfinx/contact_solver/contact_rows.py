@@ -605,9 +605,7 @@ class ContactRows:
         """
         if self.state.opening is None or not self._follows:
             return []
-        facets, size = self.sides[1].reference.facets, np.zeros(len(self.g))
-        np.maximum.at(size, facets, self.sides[1].reference.size[:, None])
-        finer = np.minimum(size, self.sides[0].reference.size.max(initial=0))
+        (size, finer), facets = self._facet_sizes(), self.sides[1].reference.facets
         p = self.spread(np.where(self.state.active, self.state.p, 0)).clip(min=0)
         far, deep, leaning = self.state.opening.reaches(self.u, least * finer, p)
         if self.has_compliance:  # surfaces are to overlap, up to the neighbouring vertices
@@ -623,6 +621,26 @@ class ContactRows:
         pressed = float((p * self.m * size).sum())
         mean = float((p * leaning).sum()) / pressed if pressed else 0.0
         return [*told, (mean, int((p * leaning).argmax())), self._lean()]
+
+    def slid(self) -> tuple[float, int]:
+        """Largest slide since the meshes under a pressure, over facets of the finer side; a vertex.
+
+        0 with finite sliding: Σ follows, and places that press on each other face each other.
+        """
+        on = self.state.active & (self.state.p > 0)
+        if self.state.opening is None or self._follows or not on.any():
+            return 0.0, 0
+        num = len(self.g)
+        T = self._condensed(self.state.opening.slip(self.at, self.condensed_to))
+        s = T.times(self.u, (self._n - 1) * num).reshape(-1, num)
+        slide = np.where(on, self._over_areas(lengths(s.T), 0.0) / self._facet_sizes()[1], 0)
+        return float(slide.max()), int(slide.argmax())
+
+    def _facet_sizes(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Sizes of the largest facets of Γ1 around vertices, and of the finer side's."""
+        size = np.zeros(len(self.g))
+        np.maximum.at(size, self.sides[1].reference.facets, self.sides[1].reference.size[:, None])
+        return size, np.minimum(size, self.sides[0].reference.size.max(initial=0))
 
     def _lean(self) -> tuple[float, int]:
         """Mean by force of degrees between Γ1's normals and frictionless forces; a vertex.

@@ -316,6 +316,23 @@ def test_drawn_away(monkeypatch, friction):
         problem.solve()
 
 
+@pytest.mark.ranks(2, sliding=["small"], friction=[None])
+@pytest.mark.parametrize("friction", (None, 0.3))
+@pytest.mark.parametrize("sliding", ("finite", "small"))
+def test_slide_with_small_sliding(caplog, sliding, friction):
+    """Told from half a facet of the finer side, 1/3 long, on: pressures act on other places."""
+    scene = two()
+    contact = Contact(*faces(scene), sliding=sliding, friction=friction)
+    problem = scene.problem([contact])
+    scene.down.value = -0.01
+    for slide in (0.15, 0.2, 0.3):
+        scene.across.value = slide
+        with caplog.at_level(logging.WARNING):
+            problem.solve()
+        told = [line for line in caplog.messages if "surfaces slid along each other by 0." in line]
+        assert len(told) == (sliding == "small" and slide > 0.15 and comm.rank == 0)
+
+
 @two_ranks()
 def test_cells_that_deform_without_a_stress():
     """Triangles of degree 2 with one quadrature point, on which no load acts that shows it."""
