@@ -519,18 +519,12 @@ class ContactProblem(ContactSystem):
             return []
         owned = self._owned()
         assert self._free is not None
-        modes = [self._free.at(i, part) for i, part in enumerate(owned)]
-        every = [self._springs(modes)]
-        if not self._strays.num_left(every[0]):
+        springs = self._springs([self._free.at(i, part) for i, part in enumerate(owned)])
+        if not self._strays.num_left(springs):
             return []
-        only = self._strays.moving(owned, every[0])
+        only = self._strays.moving(owned, springs)
         found = [f"only contact can hold {only}; otherwise hold it by {self._strays.remedy}."]
-        for rows in found_rows:
-            moves = rows.moved(modes)
-            every.append(rows.holds(moves)[rows.valid])
-            if isinstance(rows, FrictionRows) and rows.has_friction:
-                every.append(rows.holds_across(moves)[rows.valid].reshape(-1, self._num_free))
-        holds = np.vstack(every)
+        holds = self._holds(found_rows, lambda rows: rows.valid, lambda r: r.valid & r.has_friction)
         if self._strays.num_left(holds):
             what = self._strays.moving(owned, holds)
             found.append(
@@ -647,7 +641,7 @@ class ContactProblem(ContactSystem):
             ),
         )
         for c, rows in enumerate(self._rows):
-            slide, vertex = rows.slid()
+            slide, vertex = (0.0, 0) if ("slid", c) in self._told else rows.slid()
             if slide > FAR_PRESSURE / 2:
                 self._warn_once(
                     ("slid", c),

@@ -631,15 +631,18 @@ class ContactRows:
         if self.state.opening is None or self._follows or not on.any():
             return 0.0, 0
         num = len(self.g)
-        T = self._condensed(self.state.opening.slip(self.at, self.condensed_to))
-        s = T.times(self.u, (self._n - 1) * num).reshape(-1, num)
+        s = self._slips().times(self.u, (self._n - 1) * num).reshape(-1, num)
         slide = np.where(on, self._over_areas(lengths(s.T), 0.0) / self._facet_sizes()[1], 0)
         return float(slide.max()), int(slide.argmax())
 
+    def _slips(self) -> Sparse:
+        """T with the weighted slips s = T Δu, of multipliers."""
+        assert self.state.opening is not None
+        return self._condensed(self.state.opening.slip(self.at, self.condensed_to))
+
     def _facet_sizes(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Sizes of the largest facets of Γ1 around vertices, and of the finer side's."""
-        size = np.zeros(len(self.g))
-        np.maximum.at(size, self.sides[1].reference.facets, self.sides[1].reference.size[:, None])
+        size = self.sides[1].reference.vertex_sizes
         return size, np.minimum(size, self.sides[0].reference.size.max(initial=0))
 
     def _lean(self) -> tuple[float, int]:

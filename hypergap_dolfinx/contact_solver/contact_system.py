@@ -22,6 +22,7 @@ from hypergap_dolfinx.contact_solver import complementarity, multigrid_tangent
 from hypergap_dolfinx.contact_solver.contact_rows import (
     ContactPair,
     ContactRows,
+    NormalState,
     SystemState,
     share_ends,
 )
@@ -278,18 +279,32 @@ class ContactSystem(NonlinearSystem):
         """
         if not self._num_free or not any([rows.slips.any() for rows in self._frictional]):
             return ""
+        held = self._holds(self._rows, lambda rows: rows.state.active, lambda rows: rows.stuck)
+        left = self._strays.num_left(held)
+        return self._strays.moving(self._owned(), held, self._began) if left else ""
+
+    def _holds(
+        self,
+        every: Sequence[ContactRows],
+        closed: Callable[[ContactRows], npt.NDArray[np.bool_]],
+        sticks: Callable[[FrictionRows], npt.NDArray[np.bool_]],
+    ) -> npt.NDArray[np.float64]:
+        """Springs and rows of contacts by the free motions, ``(num_rows, num_free)``. Collective.
+
+        Args:
+            every: The contacts.
+            closed: Mask of multipliers that count.
+            sticks: Mask of those that count along the surface.
+        """
         assert self._free is not None
         modes = [self._free.at(i, part) for i, part in enumerate(self._owned())]
         found = [self._springs(modes)]
-        for rows in self._rows:
+        for rows in every:
             moves = rows.moved(modes)
-            found.append(rows.holds(moves)[rows.state.active])
+            found.append(rows.holds(moves)[closed(rows)])
             if isinstance(rows, FrictionRows):
-                stuck = rows.holds_across(moves)[rows.stuck]
-                found.append(stuck.reshape(-1, self._num_free))
-        held = np.vstack(found)
-        left = self._strays.num_left(held)
-        return self._strays.moving(self._owned(), held, self._began) if left else ""
+                found.append(rows.holds_across(moves)[sticks(rows)].reshape(-1, self._num_free))
+        return np.vstack(found)
 
     def _fall_back(self, reason: str) -> bool:
         """Take factors in place of multigrid; False if they are taken. Collective."""
@@ -647,7 +662,9 @@ class ContactSystem(NonlinearSystem):
 
     def _solution(self, solve: Callable[[complementarity.Guesses], Solution]) -> Solution:
         """Solution of the linearised problem from the present working sets. Collective."""
-        sets, guesses = [rows.state.copy() for rows in self._rows], self._tangent.guesses()
+        guesses, sets = self._tangent.guesses(), list[NormalState]()
+        if isinstance(self._tangent, MultigridTangent):
+            sets = [rows.state.copy() for rows in self._rows]
         while True:
             try:
                 found = solve(guesses)

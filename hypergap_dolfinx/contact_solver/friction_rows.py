@@ -114,7 +114,7 @@ class FrictionRows(ContactRows):
         if opening is None:
             self.T, self._bears, self._sizes = Sparse.empty(), Sparse.empty(), 0 * self.m
         elif self._follows or not len(self.T.i):
-            self.T = self._condensed(opening.slip(self.at, self.condensed_to))
+            self.T = self._slips()
             sizes, bears = opening.bears(self.at)
             self._sizes = self._of_carriers(sizes)
             self._bears = self._condensed(self._condensed(bears).T).T

@@ -116,8 +116,6 @@ def _facing(sides: Ends) -> list[tuple[int, int | None]]:
     In space nodes lie between each other along an edge that both sides share.
     """
     surface0, surface1 = sides[0].surface, sides[1].surface
-    size = np.zeros(len(surface1.x))
-    np.maximum.at(size, surface1.facets, surface1.size[:, None])
     edges, found = surface0.outline, []
     start, way = surface0.x[edges[:, 0]], np.diff(surface0.x[edges], axis=1)[:, 0]
     square = np.maximum((way**2).sum(axis=1), 1e-300)
@@ -125,7 +123,7 @@ def _facing(sides: Ends) -> list[tuple[int, int | None]]:
         off = surface1.x[v] - start
         share = np.clip((off * way).sum(axis=1) / square, 0, 1)
         distance = np.linalg.norm(off - share[:, None] * way, axis=1)
-        near = len(edges) > 0 and distance.min() <= SAME_END * size[v]
+        near = len(edges) > 0 and distance.min() <= SAME_END * surface1.vertex_sizes[v]
         k = distance.argmin() if near else 0
         found.append((v, int(edges[k, int(share[k] > 0.5)]) if near else None))
     return found

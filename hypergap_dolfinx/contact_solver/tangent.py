@@ -243,6 +243,8 @@ class Tangent:
         self._is_regular = False
         self.floor = 0.0
         """Force that is a residual of zero; factors don't need it."""
+        self.is_rough = False
+        """True if the last solution is accurate enough only for signs: never."""
 
     def destroy(self):
         """Destroy the PETSc objects."""
@@ -405,9 +407,6 @@ class Tangent:
         if not error <= UNKNOWN:
             raise UnsolvableError(saddle.not_unique(error))
         self._is_regular = True
-
-    is_rough = False
-    """True if the last solution is accurate enough only for signs: never."""
 
     def guesses(self) -> Guesses:
         """Rule for guesses of a step's working set: each costs a factorisation."""

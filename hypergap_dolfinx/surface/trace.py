@@ -91,6 +91,13 @@ class Surface:
         return edges.max(axis=0)
 
     @cached_property
+    def vertex_sizes(self) -> npt.NDArray[np.float64]:
+        """Size of the largest facet at each vertex, ``(num_vertices,)``."""
+        found = np.zeros(len(self.x))
+        np.maximum.at(found, self.facets, self.size[:, None])
+        return found
+
+    @cached_property
     def normals(self) -> npt.NDArray[np.float64]:
         """Unit outward normals of the facets' vertices, ``(num_facets, n)``."""
         return unit_normals(self.x[self.facets])

@@ -46,6 +46,15 @@ def two(gap=0.0, across=0.0, n=(4, 3), **options):
     return scene
 
 
+def free_to_rise():
+    """The blocks, the upper one held sideways alone; and a load on it."""
+    free = Assembly(two().bodies)
+    for component in (0, 1):
+        free.hold(0, component, meshes.BOTTOM)
+    free.hold(1, 0, meshes.RIGHT)
+    return free, free.load(1, meshes.TOP)
+
+
 def faces(scene):
     return scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM)
 
@@ -276,12 +285,7 @@ def test_motions_in_words():
 def test_failed_load_step(monkeypatch, sliding):
     """The state before remains, with its forces; what can't be halved is tried once."""
     monkeypatch.setattr(contact_problem, "HALVINGS", 1)
-    scene = two()
-    free = Assembly(scene.bodies)
-    for component in (0, 1):
-        free.hold(0, component, meshes.BOTTOM)
-    free.hold(1, 0, meshes.RIGHT)
-    load = free.load(1, meshes.TOP)
+    free, load = free_to_rise()
     contact = Contact(*faces(free), sliding=sliding)
     problem = free.problem([contact])
     load.value = 0.1
@@ -303,12 +307,7 @@ def test_failed_load_step(monkeypatch, sliding):
 def test_drawn_away(monkeypatch, friction):
     """The place is that at the load step's start, not on the way; friction of 0 is no cause."""
     monkeypatch.setattr(contact_problem, "HALVINGS", 1)
-    scene = two()
-    free = Assembly(scene.bodies)
-    for component in (0, 1):
-        free.hold(0, component, meshes.BOTTOM)
-    free.hold(1, 0, meshes.RIGHT)
-    load = free.load(1, meshes.TOP)
+    free, load = free_to_rise()
     problem = free.problem([Contact(*faces(free), friction=friction)])
     load.value = -1.0
     what = r"; contact would have to pull at \(-?0\.5, 0\): body 1, that nothing else holds, is"
