@@ -57,6 +57,8 @@ class ForceBalance:
         mine = [self._displacements(i, held[i]).sum(axis=0) for i in range(self._num)]
         num_held = self._comm.allreduce(np.reshape(mine, (-1, self._dim)))
         self._free_axes = [(int(i), int(a)) for i, a in np.argwhere(num_held == 0)]
+        bodies = np.array([i for i, _ in self._free_axes])
+        self._same_body = bodies[:, None] == bodies
         self.unbalanced = self.last_unbalanced = np.inf
         """Norm of the residual of bodies, and before the last Newton step."""
         self.in_bodies = 0.0
@@ -138,6 +140,7 @@ class ForceBalance:
             known[i] += self._at_rest(i) * (depends.on_u and not self.converges)
         beyond = float(np.linalg.norm(np.maximum(self._errors - ROUND_OFF_FORCES * known, 0)))
         force, terms = np.abs(self._along).reshape(2, -1)
+        terms = (self._same_body * terms).sum(axis=1)  # stresses along all axes are found together
         force = force - ROUND_OFF_FORCES * (self.in_bodies + terms)
         return max(beyond, float(force.max(initial=0)))
 
