@@ -492,6 +492,97 @@ static Jet shared(Tape *tape, const Ray *ray, Jet jet, int end)
   return end ? of_end : combined(tape, 1, jet, -1, of_end);
 }
 
+// Slip of Γ1 on Γ0 along a point's chord, against its direction, or what parts them across it: by
+// a component of a motion of Γ0 there.
+static Jet slip_by(Tape *tape, const Ray *ray, int i, int sheet, int across)
+{
+  Jet slip = product(tape, ray->c[across ? 1 - i : i], ray->width);
+  if (ray->visible[sheet])
+    slip = product(tape, slip, ray->visible[sheet]);
+  if (ray->arcs[sheet])
+    slip = product(tape, slip, ray->arcs[sheet]);
+  return across && i == 1 ? scaled(tape, -1, slip) : slip;
+}
+
+// Times a function of the reference coordinate, with two derivatives.
+static Jet times(Tape *tape, double sign, const double *f, const double *s, const double *jet)
+{
+  const double signed_f[] = {sign * f[0], sign * f[1], sign * f[2]};
+  return product(tape, composed(tape, s, signed_f), jet);
+}
+
+// What is done with the jets that multiply components of dofs in the slips of points.
+typedef struct {
+  const Local *local;
+  Tape *tape;
+  const Ray *ray;
+  int across;
+  const int *vertices; // of halves
+  const double *moved, *q;
+  Jet by_moved; // the slip by Δu, if that is given
+  Entries *entries;
+} Slip;
+
+static void take(const Slip *slip, int number, int i, Jet jet)
+{
+  const Local *local = slip->local;
+  int dof = 2 * local->dofs[number] + i, edge = slip->ray->point->edge;
+  for (int e = 0; e < 2; ++e)
+  {
+    int half = 2 * edge + e;
+    if (slip->ray->point->part == 1 - e)
+      continue;
+    Jet part = shared(slip->tape, slip->ray, jet, e);
+    if (!slip->q)
+      add(slip->entries, slip->vertices[half], dof, part[0]);
+    for (int k = 0; slip->q && slip->q[half] != 0 && k < 2 * local->num; ++k)
+      add(slip->entries, dof, component_of(local, k), slip->q[half] * part[1 + k]);
+  }
+}
+
+// What a component of the motion of a point of an edge is made of: components of dofs.
+static void take_point(const Slip *slip, const Side *side, const Curve *curve, const double *s,
+                       const int *numbers, int i, double sign, const double *by)
+{
+  size_t used = slip->tape->used;
+  if (slip->moved)
+  {
+    double f[3] = {0};
+    for (int k = 0; k < 3; ++k)
+    {
+      for (int a = 0; a < side->num_dofs; ++a)
+        f[k] += slip->moved[2 * slip->local->dofs[numbers[a]] + i] * curve->N[k][a];
+      for (int a = 0; curve->turns && a < 2; ++a)
+        f[k] += slip->moved[2 * slip->local->dofs[numbers[a]] + 1 - i] *
+                (a == i ? curve->across[k] : -curve->across[k]);
+    }
+    Jet jet = times(slip->tape, sign, f, s, by);
+    for (size_t k = 0; k < slip->tape->size; ++k)
+      slip->by_moved[k] += jet[k];
+    slip->tape->used = used;
+    return;
+  }
+  for (int a = 0; a < side->num_dofs; ++a, slip->tape->used = used)
+  {
+    const double f[] = {curve->N[0][a], curve->N[1][a], curve->N[2][a]};
+    take(slip, numbers[a], i, times(slip->tape, sign, f, s, by));
+  }
+  for (int a = 0; curve->turns && a < 2; ++a, slip->tape->used = used)
+    take(slip, numbers[a], 1 - i, times(slip->tape, a == i ? sign : -sign, curve->across, s, by));
+}
+
+static void take_ray(const Slip *slip, const Sigma *sigma)
+{
+  const Ray *ray = slip->ray;
+  for (int k = 0; k < ray->point->num; ++k)
+    for (int i = 0; i < 2; ++i)
+    {
+      Jet by = slip_by(slip->tape, ray, i, k, slip->across);
+      take_point(slip, sigma->sides, ray->curves + k, ray->r[k], slip->local->of_sheet[k], i, 1, by);
+      take_point(slip, sigma->sides + 1, &ray->curve, ray->s, slip->local->own, i, -1, by);
+    }
+}
+
 // Weighted gaps of the halves of Γ1's edges.
 //
 // g           (num_edges₁, 2)
@@ -499,13 +590,16 @@ static Jet shared(Tape *tape, const Ray *ray, Jet jet, int end)
 // areas       of these parts, likewise
 // C           ∂g/∂u, summed over the halves of each vertex
 // by_covered  ∂covered/∂u
+// T           weighted slips of vertices by motions, s = T Δu; NULL: not asked for
 int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
-              Entries *by_covered)
+              Entries *by_covered, Entries *T)
 {
   Local local;
   Tape tape = {0};
   int can = 1;
   Ray ray;
+  Slip slip = {.local = &local, .tape = &tape, .ray = &ray, .entries = T,
+               .vertices = sigma->sides[1].vertices};
   memset(g, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
   memset(covered, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
   memset(areas, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
@@ -524,28 +618,49 @@ int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Ent
       add_row(&local, sigma->sides[1].vertices[half], volume, C);
       add_row(&local, half, scaled(&tape, 2, part), by_covered);
     }
+    tape.size = 1; // of slips values alone
+    if (can && T)
+      take_ray(&slip, sigma);
   }
   can = can && !tape.failed;
   close_tape(&tape);
   return can ? DONE : NO_MEMORY;
 }
 
-// What of the gaps of halves is in front of Γ1, up to edges that lean, on edges with pressures.
+// Largest distance and overlap of the sides in parts of Γ1, and what of its gaps is in front, up to
+// edges that lean, where there are pressures.
 //
-// p        pressures of halves, (num_edges₁, 2)
-// volumes  likewise
-int find_leaning(const Sigma *sigma, const double *p, double *volumes)
+// p      pressures of vertices, (num_vertices₁)
+// least  lengths from which distances and overlaps are looked for, likewise
+// found  all three of vertices, (3, num_vertices₁)
+int find_reaches(const Sigma *sigma, const double *p, const double *least, double *found)
 {
   const double range[] = {sigma->cosines[1], 2 * sigma->cosines[1]};
+  int num = sigma->sides[1].num_vertices, can = 1;
+  double *far = found, *deep = far + num, *leaning = deep + num;
   Local local;
   Tape tape = {0};
-  int can = 1;
   Ray ray;
-  memset(volumes, 0, 2 * sigma->sides[1].num_edges * sizeof(double));
+  memset(found, 0, 3 * num * sizeof(double));
   for (int n = 0; can && n < sigma->num_points; ++n)
   {
     const Point *point = sigma->points + n;
-    if (p[2 * point->edge] == 0 && p[2 * point->edge + 1] == 0)
+    const int *vertices = sigma->sides[1].vertices + 2 * point->edge;
+    double x[4][2];
+    if (point->is_first)
+    {
+      int v = vertices[point->part > 0];
+      find_column(sigma, point, x[0]);
+      double apart = larger(hypot(x[3][0] - x[0][0], x[3][1] - x[0][1]),
+                            hypot(x[2][0] - x[1][0], x[2][1] - x[1][1]));
+      if (apart > least[v])
+      {
+        far[v] = larger(apart, far[v]);
+        for (int k = 0; k < 4; ++k)
+          deep[v] = larger(depth_in(sigma, k > 1, x[k]), deep[v]);
+      }
+    }
+    if (p[vertices[0]] == 0 && p[vertices[1]] == 0)
       continue;
     can = next_ray(&tape, 0, sigma, point, &local, &ray);
     for (int k = 0; can && k < point->num; ++k)
@@ -560,7 +675,7 @@ int find_leaning(const Sigma *sigma, const double *p, double *volumes)
         volume = product(&tape, ray.arcs[k], volume);
       for (int e = 0; e < 2; ++e)
         if (point->part != 1 - e)
-          volumes[2 * point->edge + e] += *shared(&tape, &ray, volume, e);
+          leaning[vertices[e]] += *shared(&tape, &ray, volume, e);
     }
   }
   can = can && !tape.failed;
@@ -610,78 +725,13 @@ int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered,
   return can ? DONE : NO_MEMORY;
 }
 
-// Slip of Γ1 on Γ0 along a point's chord, against its direction, or what parts them across it: by
-// a component of a motion of Γ0 there.
-static Jet slip_by(Tape *tape, const Ray *ray, int i, int sheet, int across)
-{
-  Jet slip = product(tape, ray->c[across ? 1 - i : i], ray->width);
-  if (ray->visible[sheet])
-    slip = product(tape, slip, ray->visible[sheet]);
-  if (ray->arcs[sheet])
-    slip = product(tape, slip, ray->arcs[sheet]);
-  return across && i == 1 ? scaled(tape, -1, slip) : slip;
-}
-
-// Times a function of the reference coordinate, with two derivatives.
-static Jet times(Tape *tape, double sign, const double *f, const double *s, const double *jet)
-{
-  const double signed_f[] = {sign * f[0], sign * f[1], sign * f[2]};
-  return product(tape, composed(tape, s, signed_f), jet);
-}
-
-// What is done with the jets that multiply components of dofs in the slips of points.
-typedef struct {
-  const Local *local;
-  Tape *tape;
-  const Ray *ray;
-  int across;
-  const int *vertices; // of halves
-  const double *moved, *q;
-  Jet by_moved; // the slip by Δu, if that is given
-  Entries *entries;
-} Slip;
-
-static void take(const Slip *slip, int number, int i, Jet jet)
-{
-  const Local *local = slip->local;
-  int dof = 2 * local->dofs[number] + i, edge = slip->ray->point->edge;
-  for (int k = 0; slip->moved && k < 1 + 2 * local->num; ++k)
-    slip->by_moved[k] += slip->moved[dof] * jet[k];
-  for (int e = 0; e < 2; ++e)
-  {
-    int half = 2 * edge + e;
-    if (slip->ray->point->part == 1 - e)
-      continue;
-    Jet part = shared(slip->tape, slip->ray, jet, e);
-    if (!slip->q)
-      add(slip->entries, slip->vertices[half], dof, part[0]);
-    for (int k = 0; slip->q && slip->q[half] != 0 && k < 2 * local->num; ++k)
-      add(slip->entries, dof, component_of(local, k), slip->q[half] * part[1 + k]);
-  }
-}
-
-// What a component of the motion of a point of an edge is made of: components of dofs.
-static void take_point(const Slip *slip, const Side *side, const Curve *curve, const double *s,
-                       const int *numbers, int i, double sign, const double *by)
-{
-  size_t used = slip->tape->used;
-  for (int a = 0; a < side->num_dofs; ++a, slip->tape->used = used)
-  {
-    const double f[] = {curve->N[0][a], curve->N[1][a], curve->N[2][a]};
-    take(slip, numbers[a], i, times(slip->tape, sign, f, s, by));
-  }
-  for (int a = 0; curve->turns && a < 2; ++a, slip->tape->used = used)
-    take(slip, numbers[a], 1 - i, times(slip->tape, a == i ? sign : -sign, curve->across, s, by));
-}
-
 static int for_slips(const Sigma *sigma, int order, Slip slip)
 {
-  const Side *below = sigma->sides, *above = below + 1;
   Local local;
   Tape tape = {0};
   int can = 1;
   Ray ray;
-  slip.local = &local, slip.tape = &tape, slip.vertices = above->vertices;
+  slip.local = &local, slip.tape = &tape, slip.vertices = sigma->sides[1].vertices;
   for (int p = 0; can && p < sigma->num_points; ++p)
   {
     const Point *point = sigma->points + p;
@@ -691,13 +741,7 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
     if (!can)
       break;
     slip.ray = &ray, slip.by_moved = constant(&tape, 0);
-    for (int k = 0; k < point->num; ++k)
-      for (int i = 0; i < 2; ++i)
-      {
-        Jet by = slip_by(&tape, &ray, i, k, slip.across);
-        take_point(&slip, below, ray.curves + k, ray.r[k], local.of_sheet[k], i, 1, by);
-        take_point(&slip, above, &ray.curve, ray.s, local.own, i, -1, by);
-      }
+    take_ray(&slip, sigma);
     for (int e = 0; slip.moved && e < 2; ++e)
       if (point->part != 1 - e)
         add_row(&local, slip.vertices[2 * point->edge + e],
@@ -708,7 +752,7 @@ static int for_slips(const Sigma *sigma, int order, Slip slip)
   return can ? DONE : NO_MEMORY;
 }
 
-// Weighted slips of vertices s = T Δu: T; if they are given Δu, by dofs, T + ∂T/∂u Δu instead.
+// Weighted slips of vertices s = T Δu: T; if they are given Δu, by dofs, ∂T/∂u Δu instead.
 //
 // across  whether what parts the sides across Γ1's edges is asked for, not along them
 int find_slips(const Sigma *sigma, int across, const double *moved, Entries *rows)

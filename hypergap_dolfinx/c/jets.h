@@ -281,7 +281,7 @@ static inline Jet quotient(Tape *tape, const double *a, const double *b)
 
 static inline Jet power(Tape *tape, const double *a, double n)
 {
-  double f = pow(a[0], n);
+  double f = n == 0.5 ? sqrt(a[0]) : n == -0.5 ? 1 / sqrt(a[0]) : pow(a[0], n);
   return composed(tape, a, (double[]){f, n * f / a[0], n * (n - 1) * f / (a[0] * a[0])});
 }
 

@@ -90,10 +90,9 @@ typedef struct {
 
 int cast_rays(Sigma *sigma);
 void find_columns(const Sigma *sigma, double *x, int *shown);
-void find_depths_in(const Sigma *sigma, int side, int num, const double *x, double *depths);
 int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
-              Entries *by_covered);
-int find_leaning(const Sigma *sigma, const double *p, double *volumes);
+              Entries *by_covered, Entries *T);
+int find_reaches(const Sigma *sigma, const double *p, const double *least, double *found);
 int gap_curvature(const Sigma *sigma, const double *p, const double *by_covered, Entries *H);
 int find_slips(const Sigma *sigma, int across, const double *moved, Entries *rows);
 int slip_curvature(const Sigma *sigma, const double *q, Entries *H);

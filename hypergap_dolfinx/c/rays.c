@@ -63,6 +63,14 @@ typedef struct {
 // Lagrange's functions of n nodes on an edge, and three derivatives.
 static void lagrange(int n, const double *at, double s, double N[4][MOST_DOFS])
 {
+  if (n == 2)
+  {
+    double slope = 1 / (at[0] - at[1]);
+    N[0][0] = (s - at[1]) * slope, N[0][1] = (at[0] - s) * slope;
+    N[1][0] = slope, N[1][1] = -slope;
+    N[2][0] = N[2][1] = N[3][0] = N[3][1] = 0;
+    return;
+  }
   for (int a = 0; a < n; ++a)
   {
     double d[4] = {1, 0, 0, 0};
@@ -661,45 +669,51 @@ int cast_rays(Sigma *sigma)
   return !can ? NO_MEMORY : cast.lost ? STUCK : DONE;
 }
 
-// Columns between both sides, to look at: pieces of Γ1's edges and what lies opposite.
+// The column between both sides of a point's piece of an edge of Γ1.
 //
-// x       ends of a piece on Γ1, and those on Γ0 in opposite order, (num_points, 4, 2)
-// shown   whether a point has one, (num_points)
-void find_columns(const Sigma *sigma, double *x, int *shown)
+// x  ends of the piece, and those of what lies opposite in opposite order, (4, 2)
+void find_column(const Sigma *sigma, const Point *point, double *x)
 {
   const Side *sides = sigma->sides;
-  for (int p = 0; p < sigma->num_points; ++p)
+  const Sheet *sheet = sigma->sheets + point->first + point->num - 1;
+  Frame frame = frame_of(sides + 1, point->edge);
+  for (int e = 0; e < 2; ++e)
   {
-    const Point *point = sigma->points + p;
-    Frame frame = frame_of(sides + 1, point->edge);
-    shown[p] = point->is_first;
-    const Sheet *sheet = sigma->sheets + point->first + point->num - 1;
-    for (int e = 0; e < 2; ++e)
+    double xi = point->places[e], slope, other;
+    double s = meet(&frame, sides + 1, point->edge, 0, 1, xi), r = sheet->r;
+    // From where it was met to the piece's end
+    for (int it = 0; it < 4; ++it)
     {
-      double xi = point->places[e], slope, other;
-      double s = meet(&frame, sides + 1, point->edge, 0, 1, xi), r = sheet->r;
-      // From where it was met to the piece's end
-      for (int it = 0; it < 4; ++it)
-      {
-        other = place(&frame, sides, sheet->edge, r, &slope);
-        r = slope != 0 ? smaller(larger(r - (other - xi) / slope, 0), 1) : r;
-      }
-      Curve x1 = curve_at(sides + 1, point->edge, s, (double[]){0, 0});
-      Curve x0 = curve_at(sides, sheet->edge, r, (double[]){0, 0});
-      memcpy(x + 8 * p + 2 * e, x1.x[0], sizeof(x1.x[0]));
-      memcpy(x + 8 * p + 6 - 2 * e, x0.x[0], sizeof(x0.x[0]));
+      other = place(&frame, sides, sheet->edge, r, &slope);
+      r = slope != 0 ? smaller(larger(r - (other - xi) / slope, 0), 1) : r;
     }
+    Curve x1 = curve_at(sides + 1, point->edge, s, (double[]){0, 0});
+    Curve x0 = curve_at(sides, sheet->edge, r, (double[]){0, 0});
+    memcpy(x + 2 * e, x1.x[0], sizeof(x1.x[0]));
+    memcpy(x + 6 - 2 * e, x0.x[0], sizeof(x0.x[0]));
   }
 }
 
-// Depths of points in the body of Γ0 (side 0) or of Γ1, negative outside.
-void find_depths_in(const Sigma *sigma, int side, int num, const double *x, double *depths)
+// Columns of all points, to look at.
+//
+// x       (num_points, 4, 2)
+// shown   whether a point has one, (num_points)
+void find_columns(const Sigma *sigma, double *x, int *shown)
+{
+  for (int p = 0; p < sigma->num_points; ++p)
+  {
+    shown[p] = sigma->points[p].is_first;
+    find_column(sigma, sigma->points + p, x + 8 * p);
+  }
+}
+
+// Depth of a point in the body of Γ0 (side 0) or of Γ1, negative outside.
+double depth_in(const Sigma *sigma, int side, const double *x)
 {
   Point point;
   Sigma every = *sigma;
   every.turn = NULL; // of one surface all edges count, also those that a point is on
   Cast cast = {.sigma = &every, .below = sigma->sides + side};
   sort_nodes(cast.below, cast.order);
-  for (int k = 0; k < num; ++k)
-    depths[k] = find_foot(&cast, x + 2 * k, &point);
+  return find_foot(&cast, x, &point);
 }

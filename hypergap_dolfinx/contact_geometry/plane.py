@@ -14,7 +14,7 @@ from hypergap_dolfinx.contact_geometry import rays
 from hypergap_dolfinx.contact_geometry.opened import OpenCells
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.gap_mesh.tolerances import END
-from hypergap_dolfinx.surface.moving import Displacements, displaced
+from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
 from hypergap_dolfinx.surface.trace import Surface, lengths
 
 
@@ -46,6 +46,7 @@ class PlaneSegments(Segments):
     """Masks of the prescribed dofs of both sides, ``(num_dofs_i, 2)`` each; none without it."""
     itself: bool = field(default=False, kw_only=True)
     """True if both sides are one surface, which meets itself."""
+    _slides: bool = field(default=False, init=False)  # slips were asked for: found with gaps
 
     @cached_property
     def _in_c(self) -> Any:
@@ -86,26 +87,19 @@ class PlaneSegments(Segments):
         surfaces = displaced(self.sides, u)
         walls = [] if self.itself else self._walls
         goes_on = [wall.end for wall in walls if wall.is_between(surfaces)]
-        found = rays.cast(self._in_c, surfaces, goes_on)
+        found = rays.cast(self._in_c, surfaces, goes_on, self._slides)
         if not len(found.points):
             raise self._faces_nothing(u)
         return found
 
     @override
     def reaches(self, u: Displacements, least, p) -> npt.NDArray[np.float64]:
-        gaps = self._at(u)
-        far, deep, leaning = found = np.zeros((3, self.num_multipliers))
-        np.add.at(leaning, gaps.facets.ravel(), gaps.rays.leaning(p))
-        x, halves = gaps.rays.columns()
-        vertices = gaps.facets.ravel()[halves]
-        apart = np.maximum(lengths(x[:, 3] - x[:, 0]), lengths(x[:, 2] - x[:, 1]))
-        on = apart > least[vertices]
-        x, vertices = x[on], vertices[on]
-        np.fmax.at(far, vertices, apart[on])
-        for side, corners in enumerate((x[:, :2], x[:, 2:])):  # of a column, on Γ1 and on Γ0
-            depths = gaps.rays.depths(side, corners.reshape(-1, 2)).reshape(-1, 2)
-            np.fmax.at(deep, vertices, np.fmax(*depths.T))
-        return found
+        return self._at(u).rays.reaches(p, least)
+
+    @override
+    def slip(self, u: Displacements, target) -> Sparse:
+        self._slides = True
+        return super().slip(u, target)
 
     @override
     def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:

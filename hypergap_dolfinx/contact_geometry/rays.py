@@ -84,14 +84,14 @@ from hypergap_dolfinx.contact_geometry.tolerances import (
 from hypergap_dolfinx.core.compiled import call, changed, doubles, dtype, ints, library, struct
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import check_chains
-from hypergap_dolfinx.surface.moving import MovingSurface, Sides, Sparse
+from hypergap_dolfinx.surface.moving import MovingSurface, Sides, Sparse, joined
 from hypergap_dolfinx.surface.trace import Surface, lengths
 
 points_an_edge = 4  # room at first; with more they are found anew
 entries_a_row = 32  # likewise
 
 
-@dataclass(frozen=True)
+@dataclass
 class PlaneRays:
     """Rays from Γ1's edges; values of its halves are ``(num_edges1, 2)``."""
 
@@ -101,6 +101,9 @@ class PlaneRays:
     """``Point`` of ``c/plane.h``, ``(num_points,)``."""
     above: Surface
     """Γ1 where it is."""
+    slides: bool = False
+    """True if slips are found with gaps."""
+    _every_slip: Sparse | None = None
 
     @property
     def facets(self) -> npt.NDArray[np.int32]:
@@ -116,7 +119,13 @@ class PlaneRays:
         """Gaps, covered shares and lengths of halves; ∂g/∂u, summed over vertices; ∂covered/∂u."""
         g, covered, areas = np.empty((3, self.num_halves))
         given = self.sigma, g, covered, areas
-        C, by_covered = _filled(self.num_halves, 2, lambda C, K: call("find_gaps", *given, C, K))
+
+        def find(C, K, T=None):
+            return call("find_gaps", *given, C, K, T)
+
+        C, by_covered, *found = _filled(self.num_halves, 2 + self.slides, find)
+        if found:
+            (self._every_slip,) = found
         g, covered, areas = (part.reshape(-1, 2) for part in (g, covered, areas))
         return g, covered, areas, C, by_covered
 
@@ -132,7 +141,11 @@ class PlaneRays:
             on: Vertices that count; here all do.
             moved: Δu by both sides' dofs, ``(num_dofs, 2)``, if it moves with u.
         """
-        return self._slips(False, None if moved is None else doubles(moved))
+        if self._every_slip is None:
+            self._every_slip = self._slips(False, None)
+        if moved is None:
+            return self._every_slip
+        return joined(self._every_slip, self._slips(False, doubles(moved)))
 
     def parting(self) -> Sparse:
         """Change of the gaps by displacements, with pairs of opposite points kept."""
@@ -164,21 +177,11 @@ class PlaneRays:
         halves = 2 * self.points["edge"] + self.points["part"].clip(max=1)
         return x[on], halves[on].astype(np.intp)
 
-    def leaning(self, p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """What of the halves' gaps is in front, up to edges that lean, ``(num_halves,)``.
-
-        Args:
-            p: Pressures of vertices, ``(num,)``; 0 on edges without.
-        """
-        volumes = np.empty(self.num_halves)
-        check(call("find_leaning", self.sigma, doubles(p[self.facets]), volumes))
-        return volumes
-
-    def depths(self, side: int, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Depths of points, ``(num, 2)``, in a side's body by its nearest edge, < 0 outside."""
-        depths = np.empty(len(x))
-        call("find_depths_in", self.sigma, side, len(x), doubles(x), depths)
-        return depths
+    def reaches(self, p, least) -> npt.NDArray[np.float64]:
+        """As :meth:`Segments.reaches`, from pressures of vertices, and least lengths."""
+        found = np.empty((3, len(p)))
+        check(call("find_reaches", self.sigma, doubles(p), doubles(least), found))
+        return found
 
     @property
     def _num_dofs(self) -> int:
@@ -303,7 +306,10 @@ def sigma_of(sides: Sides, itself: bool = False) -> Any:
 
 
 def cast(
-    unplaced: Any, surfaces: tuple[Surface, Surface], goes_on: Sequence[tuple[int, int]] = ()
+    unplaced: Any,
+    surfaces: tuple[Surface, Surface],
+    goes_on: Sequence[tuple[int, int]] = (),
+    slides: bool = False,
 ) -> PlaneRays:
     """Find the rays between two surfaces where they are.
 
@@ -311,6 +317,7 @@ def cast(
         unplaced: From :func:`sigma_of`.
         surfaces: Both where they are.
         goes_on: Edges and ends (0 or 1) of Γ0 beyond which it goes on, as mirrored at a wall.
+        slides: True if slips are found with gaps.
     """
     room = points_an_edge * sum(len(surface.facets) for surface in surfaces)
     on = np.zeros((len(surfaces[0].facets), 2), np.int32)
@@ -324,7 +331,7 @@ def cast(
         check(call("cast_rays", sigma), library("plane").lib.MOST_SHEETS)
         most = max(sigma.num_points, sigma.num_sheets)
         if most <= room:
-            return PlaneRays(sigma, points[: sigma.num_points], surfaces[1])
+            return PlaneRays(sigma, points[: sigma.num_points], surfaces[1], slides)
         room = most
 
 
