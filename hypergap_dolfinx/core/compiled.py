@@ -26,13 +26,13 @@ from dolfinx.jit import get_options
 
 FOLDER = Path(__file__).parents[1] / "c"
 HEADERS = {
-    "sparse": ("sparse.h",),
+    "sparse": ("sparse.h", "walls.h"),
     "plane": ("plane.h",),
     "space": ("surface.h", "gap_mesh.h", "space.h"),
 }
 """Headers of each library that Python reads."""
 SOURCES = {
-    "sparse": ["multiply"],
+    "sparse": ["multiply", "walls"],
     "plane": "gaps rays".split(),
     "space": (
         "advance bases blocks check columns depths front heights moments parts pieces program "
@@ -273,7 +273,7 @@ class Library:
 
 @cache
 def library(name: str) -> Library:
-    """A library: that of the plane, that of space, or that of matrices for both.
+    """A library: that of the plane, that of space, or that of matrices and walls for both.
 
     Raises:
         RuntimeError: There is no C compiler that works.

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.core.compiled import call
+from hypergap_dolfinx.core.compiled import call, ints, struct
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.surface.search import meet, meeting
+from hypergap_dolfinx.surface.search import meeting
 from hypergap_dolfinx.surface.tolerances import FACING_COSINE
-from hypergap_dolfinx.surface.trace import Surface, lengths, normals_by_area
+from hypergap_dolfinx.surface.trace import Surface
 
 
 @dataclass(frozen=True)
@@ -150,77 +150,22 @@ def went_through(sides: Sequence[tuple[Surface, Surface]], least: float) -> list
     for ends in c:
         ends[1] -= shift
     swept = [_boxes(_there_and_back(ends)) for ends in c]
-    near, none = meeting(swept[0], swept[-1]), np.empty(0, dtype=np.intp)
+    near, none = ints(meeting(swept[0], swept[-1])), np.empty(0, dtype=np.intp)
     if not len(near):
         return [(none, none)] * len(sides)
-    n = [np.stack([_units(part) for part in ends]) for ends in c]
-    every = list(zip(corners, c, n, swept, strict=True))
-    pairs = zip(every, every[::-1], (near, near[:, ::-1]))  # one pair for one surface
-    return [_went_through(*pair, least, itself=len(sides) == 1) for pair in pairs]
-
-
-def _went_through(mine, others, near: Ints, least: float, *, itself: bool) -> tuple[Ints, Ints]:
-    """The same of one surface.
-
-    Args:
-        mine: Vertices of its simplices, ``(num, n)``, before and after these themselves,
-            ``(2, num, n, n)``, and their unit normals, ``(2, num, n)``, and boxes around their
-            ways, ``(num, 2, n)``.
-        others: Those of the other one.
-        near: Simplices of both that may meet, ``(num_pairs, 2)``.
-        least: Depth treated as zero.
-        itself: True if both are one surface.
-    """
-    (own, y, own_n, _), (corners, c, n, swept) = mine, others
-    x, num = ((y + y.mean(axis=2, keepdims=True)) / 2).reshape(2, -1, y.shape[3]), own.shape[1]
-    y, ways = y[0], (x[:, :, None], c)
-    v, f = (num * near[:, :1] + np.arange(num)).ravel(), np.repeat(near[:, 1], num)
-    may = meet(_boxes(_there_and_back(ways[0]))[v], swept[f])
-    v, f = v[may], f[may]
-    h0, h1 = np.einsum("tpi,tpi->tp", x[:, v] - c[:, f, 0], n[:, f])
-    may = h1 < np.minimum(2 * h0, -least)  # else it doesn't come nearer by what it ends behind
-    if itself:
-        may &= (corners[f][:, :, None] != own[v // num][:, None]).all(axis=(1, 2))
-    if not may.any():
-        return v[:0], v[:0]
-    way_x, way_f = map(_boxes, ways)
-    may &= (h0 < 0) | meet(way_x[v], way_f[f])
-    v, f, h0, h1 = v[may], f[may], h0[may], h1[may]
-    far = 2 * np.minimum(h0 - h1, -h1)
-    on = own[v // num]
-    deep = np.minimum(
-        _walls(y, x[0][v], far[:, None] * n[0, f], own, on),
-        _walls(c[0], c[0][f].mean(axis=1), -far[:, None] * n[0, f], corners, corners[f]),
-    )
-    deep *= far / 2
-    goes = np.flatnonzero((h0 > -deep) & np.isfinite(deep))
-    v, f, deep = v[goes], f[goes], deep[goes]
-    if not len(v):
-        return v, v
-    middle = c[:, f] - (deep[:, None] * n[:, f])[:, :, None]
-    low, high = np.zeros(len(v)), np.ones(len(v))
-    for _ in range(np.finfo(float).nmant):  # halving: in space it is a cubic
-        t = (low + high)[:, None] / 2
-        at = x[0, v] + t * (x[1, v] - x[0, v])
-        facet = middle[0] + t[:, None] * (middle[1] - middle[0])
-        front = np.einsum("pi,pi->p", at - facet[:, 0], normals_by_area(facet)) > 0
-        low, high = np.where(front, t[:, 0], low), np.where(front, high, t[:, 0])
-    passed, found = np.ones(own.max() + 1, dtype=bool), np.zeros(x.shape[1], dtype=bool)
-    there = np.flatnonzero(_are_inside(at, facet))
-    if not itself:
-        p, s, off, shares = _near(at[there], t[there, 0], c, deep[there] / 2)
-        on, way = v[there[p]], 2 * off[:, None] * n[0, s]
-        foot = np.einsum("pc,pci->pi", shares, c[0, s])
-        lean, beside = (
-            np.einsum("pi,pi->p", normals, n[0, s])
-            for normals in (own_n[0, on // num], n[0, f[there[p]]])
-        )
-        shallow = (lean < np.finfo(float).eps ** 0.5) & (beside > FACING_COSINE)
-        shallow &= np.isinf(np.minimum(_walls(y, x[0][on], way), _walls(c[0], foot, -way)))
-        there = np.delete(there, p[shallow])
-    found[v[there]] = True
-    np.logical_and.at(passed, own.ravel(), found)
-    return np.flatnonzero(passed), np.setdiff1d(own.ravel()[found], np.flatnonzero(passed))
+    both = list(zip(corners, c, strict=True))
+    in_c = [struct("Moved", num=len(at), vertices=ints(at), x=ends) for at, ends in both]
+    result = []
+    for k, (at, mine, others) in enumerate(zip(corners, in_c, in_c[::-1], strict=True)):
+        found, pairs = np.empty(at.shape, np.int32), ints(near[:, ::-1] if k else near)
+        given = mine, others, len(sides) == 1, len(pairs), pairs, least, FACING_COSINE, found
+        if call("find_passed", at.shape[1], *given):
+            raise MemoryError("no memory for the walls of surfaces")
+        through = np.ones(at.max() + 1, dtype=bool)
+        through[at[found == 0]] = False
+        passed = np.flatnonzero(through)
+        result.append((passed, np.setdiff1d(at[found > 0], passed)))
+    return result
 
 
 def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
@@ -238,82 +183,6 @@ def _boxes(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def _there_and_back(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Places before and after, ``(2, ...)``, and as far back as they moved."""
     return np.concatenate((x, 2 * x[:1] - x[1:]))
-
-
-def _units(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Unit normals of simplices, ``(num, n, n)``."""
-    n = normals_by_area(corners)
-    return n / np.maximum(lengths(n), np.finfo(float).tiny)[:, None]
-
-
-def _walls(corners, x, ways, vertices=None, near=None) -> npt.NDArray[np.float64]:
-    """Shares of ways, from points, at which they first leave through a simplex; ∞: nowhere.
-
-    Args:
-        corners: Corners of the simplices, ``(num_simplices, n, n)``.
-        x: The points, ``(num, n)``.
-        ways: The ways, likewise.
-        vertices: Vertices of the simplices, ``(num_simplices, n)``, if near is given.
-        near: Vertices for each point whose simplices don't count, ``(num, num_near)``. Simplices on
-            which a point is never count.
-    """
-    p, s = meeting(_boxes(np.stack((x, x + ways))[:, :, None]), _boxes(corners[None])).T
-    found = np.full(len(x), np.inf)
-    n = normals_by_area(corners[s])
-    along, high = (np.einsum("pi,pi->p", a, n) for a in (ways[p], corners[s, 0] - x[p]))
-    on = (along > 0) & (high > np.finfo(float).eps ** 0.5 * along) & (high <= along)
-    if near is not None:
-        on &= (vertices[s][:, :, None] != near[p][:, None]).all(axis=(1, 2))
-    if not on.any():
-        return found
-    p, s, share = p[on], s[on], high[on] / along[on]
-    hit = _are_inside(x[p] + share[:, None] * ways[p], corners[s])
-    np.minimum.at(found, p[hit], share[hit])
-    return found
-
-
-def _near(x, t, corners, least):
-    """Points and moving simplices less than a distance apart, the distances, and :func:`_feet`.
-
-    Args:
-        x: The points, ``(num, n)``.
-        t: Share of the simplices' ways at each point, ``(num,)``.
-        corners: The simplices before and after, ``(2, num_simplices, n, n)``.
-        least: The distance for each point, ``(num,)``.
-    """
-    ball = np.stack((x - least[:, None], x + least[:, None]))[:, :, None]
-    p, s = meeting(_boxes(ball), _boxes(corners)).T
-    now = corners[0, s] + t[p, None, None] * (corners[1, s] - corners[0, s])
-    shares = _feet(x[p], now)
-    off = np.linalg.norm(x[p] - np.einsum("pc,pci->pi", shares, now), axis=1)
-    near = off < least[p]
-    return p[near], s[near], off[near], shares[near]
-
-
-def _feet(x, corners) -> npt.NDArray[np.float64]:
-    """Weights of simplices' corners in the places on them nearest to points, ``(num, n)``."""
-    e, apart = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
-    square = np.maximum(np.einsum("pci,pci->pc", e, e), np.finfo(float).tiny)
-    along = (np.einsum("pci,pci->pc", apart, e) / square).clip(0, 1)
-    edge = np.linalg.norm(apart - along[..., None] * e, axis=2).argmin(axis=1)
-    each, num = np.arange(len(x)), corners.shape[1]
-    shares = np.zeros((len(x), num))
-    shares[each, edge] = 1 - along[each, edge]
-    shares[each, (edge + 1) % num] = along[each, edge]
-    within = _shares(x, corners)
-    return np.where((within >= 0).all(axis=1, keepdims=True), within, shares)
-
-
-def _shares(x, corners) -> npt.NDArray[np.float64]:
-    """Shares of simplices' corners in the feet of points in their planes, ``(num, n)``."""
-    e = corners[:, 1:] - corners[:, :1]
-    found = np.linalg.pinv(e @ e.swapaxes(1, 2)) @ (e @ (x - corners[:, 0])[..., None])
-    return np.column_stack((1 - found.sum(axis=(1, 2)), found[..., 0]))
-
-
-def _are_inside(x, corners) -> npt.NDArray[np.bool_]:
-    """Mask of points whose feet in the planes of simplices are inside, each of its own."""
-    return (_shares(x, corners) >= -(np.finfo(float).eps ** 0.5)).all(axis=1)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,22 @@
+// Copyright (C) 2026 The hypergap_dolfinx developers
+//
+// This file is part of hypergap_dolfinx
+//
+// SPDX-License-Identifier:    LGPL-3.0-or-later
+
+// Walls of surfaces, edges in the plane or triangles. Python reads this file too (core/compiled.py).
+
+#ifndef HYPERGAP_WALLS_H
+#define HYPERGAP_WALLS_H
+
+// A surface before and after it moved.
+typedef struct {
+  int num;
+  const int *vertices; // of its simplices, (num, n)
+  const double *x;     // where they are, (2, num, n, n)
+} Moved;
+
+int find_passed(int n, const Moved *mine, const Moved *others, int itself, int num_near,
+                const int *near, double least, double facing, int *found);
+
+#endif
