@@ -21,14 +21,15 @@ typedef struct {
   double low[3], high[3];
 } Box;
 
-// Simplices before they moved, in the order of where their boxes begin along an axis.
+// Boxes around simplices, in the order in which they begin along an axis.
 typedef struct {
   int n, num, axis;
   const Moved *surface;
-  struct Start {
-    double low;
+  struct Place {
+    Box box;
+    double start;
     int simplex;
-  } *starts;
+  } *places;
   double widest;
 } Sorted;
 
@@ -198,29 +199,53 @@ static double find_nearest_on(int n, const double *x, const double *corners, dou
 
 static int by_start(const void *a, const void *b)
 {
-  double one = ((const struct Start *)a)->low, two = ((const struct Start *)b)->low;
+  double one = ((const struct Place *)a)->start, two = ((const struct Place *)b)->start;
   return (one > two) - (one < two);
 }
 
-static int sort_simplices(int n, const Moved *surface, Sorted *sorted)
+// Boxes of a number of times: before, after, and as far back. Returns 0 without memory.
+static int sort_boxes(int n, int num_times, const Moved *surface, Sorted *sorted)
 {
-  *sorted = (Sorted){n, surface->num, 0, surface, malloc((surface->num + 1) * sizeof(struct Start)), 0};
-  if (!sorted->starts || !surface->num)
-    return sorted->starts != NULL;
-  Box all = box_of(n, 1, surface, 0);
-  for (int s = 0; s < surface->num * n; ++s)
-    add_to_box(n, &all, surface->x + n * s);
+  *sorted = (Sorted){.n = n, .num = surface->num, .surface = surface};
+  sorted->places = malloc((surface->num + 1) * sizeof(struct Place));
+  if (!sorted->places || !surface->num)
+    return sorted->places != NULL;
+  Box all = box_around(n, surface->x);
+  for (int s = 0; s < surface->num; ++s)
+  {
+    Box box = box_of(n, num_times, surface, s);
+    add_to_box(n, &all, box.low), add_to_box(n, &all, box.high);
+    sorted->places[s] = (struct Place){.box = box, .simplex = s};
+  }
   for (int i = 1; i < n; ++i)
     if (all.high[i] - all.low[i] > all.high[sorted->axis] - all.low[sorted->axis])
       sorted->axis = i;
   for (int s = 0; s < surface->num; ++s)
   {
-    Box box = box_of(n, 1, surface, s);
-    sorted->starts[s] = (struct Start){box.low[sorted->axis], s};
-    sorted->widest = larger(sorted->widest, box.high[sorted->axis] - box.low[sorted->axis]);
+    struct Place *place = sorted->places + s;
+    place->start = place->box.low[sorted->axis];
+    sorted->widest = larger(sorted->widest, place->box.high[sorted->axis] - place->start);
   }
-  qsort(sorted->starts, surface->num, sizeof(struct Start), by_start);
+  qsort(sorted->places, surface->num, sizeof(struct Place), by_start);
   return 1;
+}
+
+// The next place, behind one (NULL: the first), whose box meets another one; NULL: none.
+static const struct Place *next_near(const Sorted *sorted, const Box *box, const struct Place *place)
+{
+  int from = 0, to = sorted->num;
+  double least = box->low[sorted->axis] - sorted->widest;
+  while (!place && from < to)
+  {
+    int middle = (from + to) / 2;
+    *(sorted->places[middle].start < least ? &from : &to) =
+        sorted->places[middle].start < least ? middle + 1 : middle;
+  }
+  place = place ? place + 1 : sorted->places + from;
+  for (; place < sorted->places + sorted->num && place->start <= box->high[sorted->axis]; ++place)
+    if (boxes_meet(sorted->n, box, &place->box))
+      return place;
+  return NULL;
 }
 
 // Share of a way, from a point, at which it first leaves through a simplex; ∞: nowhere.
@@ -229,32 +254,19 @@ static int sort_simplices(int n, const Moved *surface, Sorted *sorted)
 static double wall_of(const Sorted *sorted, const double *x, const double *way, int beside)
 {
   const Moved *surface = sorted->surface;
-  int n = sorted->n, from = 0, to = sorted->num;
-  double end[3], found = INFINITY, least;
+  int n = sorted->n;
+  double end[3], normal[3], found = INFINITY;
   Box box = box_around(n, x);
   for (int i = 0; i < n; ++i)
     end[i] = x[i] + way[i];
   add_to_box(n, &box, end);
-  least = box.low[sorted->axis] - sorted->widest;
-  while (from < to)
+  for (const struct Place *place = NULL; (place = next_near(sorted, &box, place));)
   {
-    int middle = (from + to) / 2;
-    if (sorted->starts[middle].low < least)
-      from = middle + 1;
-    else
-      to = middle;
-  }
-  for (; from < sorted->num && sorted->starts[from].low <= box.high[sorted->axis]; ++from)
-  {
-    int s = sorted->starts[from].simplex, counts = 1;
-    Box own = box_of(n, 1, surface, s);
-    if (!boxes_meet(n, &box, &own))
-      continue;
+    int s = place->simplex, counts = 1;
     for (int k = 0; beside >= 0 && k < n; ++k)
       for (int l = 0; l < n; ++l)
         counts &= surface->vertices[n * s + k] != surface->vertices[n * beside + l];
     const double *corners = corner(n, surface, 0, s, 0);
-    double normal[3];
     normal_of(n, corners, normal);
     double along = product_of(n, way, normal), high = height_over(n, corners, x, normal);
     if (!counts || !(along > 0 && high > NEARLY_ZERO * along && high <= along))
@@ -267,22 +279,26 @@ static double wall_of(const Sorted *sorted, const double *x, const double *way, 
   return found;
 }
 
+// Both surfaces before they moved; boxes around the other one's ways, and as far back, too.
+typedef struct {
+  Sorted mine, others, ways, swept;
+  int itself;
+  double least, facing;
+} Walls;
+
 // Whether a point is at a simplex beside that behind whose plane it is, no deeper than half of the
 // wall: it slid past an end.
-static int is_shallow(const Sorted *mine, const Sorted *others, const double *x0, const double *at,
-                      double t, double deep, double facing, const double *own_normal,
-                      const double *normal)
+static int is_shallow(const Walls *walls, const double *x0, const double *at, double t, double deep,
+                      const double *own_normal, const double *normal)
 {
-  const Moved *surface = others->surface;
-  int n = mine->n;
+  const Moved *surface = walls->others.surface;
+  int n = walls->mine.n;
   Box ball = box_around(n, at);
   for (int i = 0; i < n; ++i)
     ball.low[i] -= deep, ball.high[i] += deep;
-  for (int s = 0; s < surface->num; ++s)
+  for (const struct Place *place = NULL; (place = next_near(&walls->ways, &ball, place));)
   {
-    Box box = box_of(n, 2, surface, s);
-    if (!boxes_meet(n, &ball, &box))
-      continue;
+    int s = place->simplex;
     double now[9], shares[3], foot[3], beside[3], way[3], back[3];
     for (int k = 0; k < n * n; ++k)
     {
@@ -292,12 +308,13 @@ static int is_shallow(const Sorted *mine, const Sorted *others, const double *x0
     double off = find_nearest_on(n, at, now, shares);
     unit_normal_of(n, corner(n, surface, 0, s, 0), beside);
     if (!(off < deep && product_of(n, own_normal, beside) < NEARLY_ZERO &&
-          product_of(n, normal, beside) > facing))
+          product_of(n, normal, beside) > walls->facing))
       continue;
     place_at(n, corner(n, surface, 0, s, 0), shares, foot);
     for (int i = 0; i < n; ++i)
       way[i] = 2 * off * beside[i], back[i] = -way[i];
-    if (isinf(wall_of(mine, x0, way, -1)) && isinf(wall_of(others, foot, back, -1)))
+    if (isinf(wall_of(&walls->mine, x0, way, -1)) &&
+        isinf(wall_of(&walls->others, foot, back, -1)))
       return 1;
   }
   return 0;
@@ -305,11 +322,10 @@ static int is_shallow(const Sorted *mine, const Sorted *others, const double *x0
 
 // Whether a point that moves, halfway between a simplex i and a corner of it, goes through the middle
 // of the wall at a simplex f.
-static int passes(const Sorted *mine, const Sorted *others, int itself, int i, int k, int f,
-                  double least, double facing)
+static int passes(const Walls *walls, int i, int k, int f, const Box *swept)
 {
-  int n = mine->n;
-  const Moved *own = mine->surface, *surface = others->surface;
+  int n = walls->mine.n;
+  const Moved *own = walls->mine.surface, *surface = walls->others.surface;
   double x[2][3], normal[2][3], h[2], way[3], back[3], middle[2][9], foot[3] = {0}, at[3], facet[9];
   for (int t = 0; t < 2; ++t)
   {
@@ -323,16 +339,17 @@ static int passes(const Sorted *mine, const Sorted *others, int itself, int i, i
     unit_normal_of(n, corner(n, surface, t, f, 0), normal[t]);
     h[t] = height_over(n, x[t], corner(n, surface, t, f, 0), normal[t]);
   }
-  if (!(h[1] < smaller(2 * h[0], -least))) // else it doesn't come nearer by what it ends behind
+  if (!(h[1] < smaller(2 * h[0], -walls->least))) // else it doesn't come nearer by what it ends behind
     return 0;
+  Box ways = box_of(n, 2, surface, f);
   for (int times = 3; times > 1; --times)
   {
-    Box box = box_around(n, x[0]), other = box_of(n, times, surface, f);
+    Box box = box_around(n, x[0]);
     add_way(n, times, &box, x[0], x[1]);
-    if (!boxes_meet(n, &box, &other) && (times == 3 || !(h[0] < 0)))
+    if (!boxes_meet(n, &box, times > 2 ? swept : &ways) && (times > 2 || !(h[0] < 0)))
       return 0;
   }
-  for (int a = 0; itself && a < n; ++a)
+  for (int a = 0; walls->itself && a < n; ++a)
     for (int b = 0; b < n; ++b)
       if (own->vertices[n * i + a] == surface->vertices[n * f + b])
         return 0;
@@ -343,7 +360,8 @@ static int passes(const Sorted *mine, const Sorted *others, int itself, int i, i
     for (int c = 0; c < n; ++c)
       foot[a] += corner(n, surface, 0, f, c)[a] / n;
   }
-  double deep = smaller(wall_of(mine, x[0], way, i), wall_of(others, foot, back, f)) * far / 2;
+  double deep = smaller(wall_of(&walls->mine, x[0], way, i), wall_of(&walls->others, foot, back, f));
+  deep *= far / 2;
   if (!(h[0] > -deep) || isinf(deep))
     return 0;
   for (int t = 0; t < 2; ++t)
@@ -365,29 +383,30 @@ static int passes(const Sorted *mine, const Sorted *others, int itself, int i, i
     return 0;
   double own_normal[3];
   unit_normal_of(n, corner(n, own, 0, i, 0), own_normal);
-  return itself || !is_shallow(mine, others, x[0], at, t, deep / 2, facing, own_normal, normal[0]);
+  return walls->itself || !is_shallow(walls, x[0], at, t, deep / 2, own_normal, normal[0]);
 }
 
 // Find corners of simplices that went through a wall of another surface.
 //
 // itself  whether both are one surface
-// near    simplices of both that may meet, (num_near, 2)
 // least   depth treated as zero
 // facing  cosine from which on facets face the same way
 // found   whether the point halfway from the middle to each corner did, (num, n)
-int find_passed(int n, const Moved *mine, const Moved *others, int itself, int num_near,
-                const int *near, double least, double facing, int *found)
+int find_passed(int n, const Moved *mine, const Moved *others, int itself, double least,
+                double facing, int *found)
 {
-  Sorted own = {0}, of_others = {0};
-  int can = sort_simplices(n, mine, &own) && sort_simplices(n, others, &of_others);
+  Walls walls = {.itself = itself, .least = least, .facing = facing};
+  int can = sort_boxes(n, 1, mine, &walls.mine) & sort_boxes(n, 1, others, &walls.others) &
+            sort_boxes(n, 2, others, &walls.ways) & sort_boxes(n, 3, others, &walls.swept);
   memset(found, 0, (size_t)mine->num * n * sizeof(int));
-  for (int p = 0; can && p < num_near; ++p)
-    for (int k = 0; k < n; ++k)
-    {
-      int *passed = found + n * near[2 * p] + k;
-      *passed = *passed || passes(&own, &of_others, itself, near[2 * p], k, near[2 * p + 1], least,
-                                  facing);
-    }
-  free(own.starts), free(of_others.starts);
+  for (int i = 0; can && i < mine->num; ++i)
+  {
+    Box box = box_of(n, 3, mine, i);
+    for (const struct Place *place = NULL; (place = next_near(&walls.swept, &box, place));)
+      for (int k = 0; k < n; ++k)
+        found[n * i + k] = found[n * i + k] || passes(&walls, i, k, place->simplex, &place->box);
+  }
+  free(walls.mine.places), free(walls.others.places);
+  free(walls.ways.places), free(walls.swept.places);
   return can ? DONE : NO_MEMORY;
 }

@@ -16,7 +16,7 @@ typedef struct {
   const double *x;     // where they are, (2, num, n, n)
 } Moved;
 
-int find_passed(int n, const Moved *mine, const Moved *others, int itself, int num_near,
-                const int *near, double least, double facing, int *found);
+int find_passed(int n, const Moved *mine, const Moved *others, int itself, double least,
+                double facing, int *found);
 
 #endif

@@ -14,7 +14,6 @@ import numpy.typing as npt
 import basix
 from hypergap_dolfinx.core.compiled import call, ints, struct
 from hypergap_dolfinx.core.sparse import triplets
-from hypergap_dolfinx.surface.search import meeting
 from hypergap_dolfinx.surface.tolerances import FACING_COSINE
 from hypergap_dolfinx.surface.trace import Surface
 
@@ -149,18 +148,17 @@ def went_through(sides: Sequence[tuple[Surface, Surface]], least: float) -> list
     shift = (c[-1][1] - c[-1][0]).mean(axis=(0, 1))
     for ends in c:
         ends[1] -= shift
-    swept = [_boxes(_there_and_back(ends)) for ends in c]
-    near, none = ints(meeting(swept[0], swept[-1])), np.empty(0, dtype=np.intp)
-    if not len(near):
-        return [(none, none)] * len(sides)
-    both = list(zip(corners, c, strict=True))
-    in_c = [struct("Moved", num=len(at), vertices=ints(at), x=ends) for at, ends in both]
-    result = []
-    for k, (at, mine, others) in enumerate(zip(corners, in_c, in_c[::-1], strict=True)):
-        found, pairs = np.empty(at.shape, np.int32), ints(near[:, ::-1] if k else near)
-        given = mine, others, len(sides) == 1, len(pairs), pairs, least, FACING_COSINE, found
-        if call("find_passed", at.shape[1], *given):
+    pairs = list(zip(corners, c, strict=True))
+    in_c = [struct("Moved", num=len(at), vertices=ints(at), x=ends) for at, ends in pairs]
+    result, none = [], np.empty(0, dtype=np.intp)
+    for at, mine, others in zip(corners, in_c, in_c[::-1], strict=True):
+        found = np.empty(at.shape, np.int32)
+        given = at.shape[1], mine, others, len(sides) == 1, least, FACING_COSINE, found
+        if call("find_passed", *given):
             raise MemoryError("no memory for the walls of surfaces")
+        if not found.any():
+            result.append((none, none))
+            continue
         through = np.ones(at.max() + 1, dtype=bool)
         through[at[found == 0]] = False
         passed = np.flatnonzero(through)
@@ -173,16 +171,6 @@ def _simplices(surface: Surface) -> npt.NDArray[np.int32]:
     if surface.facets.shape[1] < 4:
         return surface.facets
     return surface.polygons[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-
-
-def _boxes(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Boxes around moving sets of points, ``(num_times, num_sets, num_points, n)``."""
-    return np.stack((x.min(axis=(0, 2)), x.max(axis=(0, 2))), axis=1)
-
-
-def _there_and_back(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Places before and after, ``(2, ...)``, and as far back as they moved."""
-    return np.concatenate((x, 2 * x[:1] - x[1:]))
 
 
 @dataclass(frozen=True)
