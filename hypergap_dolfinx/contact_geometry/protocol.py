@@ -105,8 +105,8 @@ class Segments(ABC):
 
     def _at(self, u: Displacements) -> Blended:
         """Gaps where the bodies are, known ones if they were there before."""
-        for place, known in self._last:
-            if all(a is b or np.array_equal(a, b) for a, b in zip(u, place, strict=True)):
+        for (a, b), known in self._last:
+            if (a is u[0] or np.array_equal(a, u[0])) and (b is u[1] or np.array_equal(b, u[1])):
                 return known
         u0, u1 = (part.copy() if part.flags.writeable else part for part in u)
         u = u0, u1

@@ -148,7 +148,8 @@ class ContactRows:
         areas = (areas[:, None] * arcs).ravel()
         self._area = np.bincount(surface.facets.ravel(), areas, num)
         self._rank = np.searchsorted(surface.dof_range[1:], self.sides[1].vertex_dofs, side="right")
-        self._first = self.displacements([f.x.array for f in self.fields])
+        now = self.displacements([f.x.array for f in self.fields])
+        self._first = self.u = _unless_same(now, now)
         self.condensed_to = np.arange(num)
         """Vertex that carries each vertex's pressure, -1 for none, ``(num_multipliers,)``."""
 
@@ -256,9 +257,7 @@ class ContactRows:
         Raises:
             InterfaceError: There is no Σ, though the sides face each other.
         """
-        self.u = self.displacements([f.x.array for f in self.fields])
-        for part in self.u:
-            part.flags.writeable = False  # known by identity
+        self.u = _unless_same(self.u, self.displacements([f.x.array for f in self.fields]))
         if self.start is None:
             self.start = self.before()
         g, m, C = self._find()
@@ -279,6 +278,8 @@ class ContactRows:
     def commit(self):
         """Accept the state: the next load step starts from it."""
         self.start = self.u
+        for side, u in zip(self.sides, self.u, strict=True):
+            side.keep(u)
 
     def restore(self, state: NormalState):
         """Go back to a state that was copied before, where laws are linearised at it."""
@@ -349,8 +350,8 @@ class ContactRows:
 
     def before(self) -> Displacements:
         """Both sides' displacements as a load step starts, before users moved. Collective."""
-        now = self.displacements([f.x.array for f in self.fields])
         last = self._first if self.start is None else self.start
+        now = _unless_same(last, self.displacements([f.x.array for f in self.fields]))
         pairs = zip(self.bodies, last, now, strict=True)
         before, after = (a if body is None else b for body, a, b in pairs)
         return before, after
@@ -969,6 +970,14 @@ class ContactRows:
         assert self.state.opening is not None
         p = self.spread(np.maximum(self.state.p, 0) * self.state.active)
         return self.state.opening.curvature(self.u, p)
+
+
+def _unless_same(known: Displacements, u: Displacements) -> Displacements:
+    """Displacements that can't be written to: known ones, by identity, where they are the same."""
+    for part in u:
+        part.flags.writeable = False
+    u0, u1 = (a if np.array_equal(a, b) else b for a, b in zip(known, u, strict=True))
+    return u0, u1
 
 
 def share_ends(contacts: Sequence[ContactRows], interfaces: Sequence[Interface]):

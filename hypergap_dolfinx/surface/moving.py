@@ -67,15 +67,19 @@ class MovingSurface:
         return [nodes[0] for nodes in self.rest.geometry.entity_dofs[0]]
 
     @cached_property
-    def _last(self) -> list[tuple[npt.NDArray[np.float64], Surface]]:
-        return []
+    def _known(self) -> dict[str, tuple[npt.NDArray[np.float64], Surface]]:
+        return {}
+
+    def keep(self, u: npt.NDArray[np.float64]):
+        """Keep the surface displaced by u, which can't be written to, besides the last one."""
+        self._known["kept"] = u, self.displaced(u)
 
     def displaced(self, u: npt.NDArray[np.float64]) -> Surface:
         """The surface displaced by u at :attr:`dofs`, ``(num_dofs, n)``.
 
         The last one is kept if u can't be written to.
         """
-        for known, surface in self._last:
+        for known, surface in self._known.values():
             if known is u:
                 return surface
         rest = self.rest
@@ -88,7 +92,7 @@ class MovingSurface:
         x[rest.facets] = nodes[:, self._corners]
         found = replace(rest, x=x, nodes=nodes)
         if not u.flags.writeable:
-            self._last[:] = [(u, found)]
+            self._known["last"] = u, found
         return found
 
     def at_vertices(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
