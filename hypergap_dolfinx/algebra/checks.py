@@ -92,7 +92,11 @@ def check_cells(mesh: Mesh, name: str, facets: Sequence[npt.ArrayLike]):
     lots.append((cells, inside, lattice))
     message = None
     for x, det, num_inside in (
-        part for lot in lots for part in _determinants(mesh.geometry.x[:, :n], element, *lot)
+        (*part, len(inside))
+        for cells, inside, more in lots
+        for part in _determinants(
+            mesh.geometry.x[:, :n], _slopes(element, np.vstack((inside, more))), cells
+        )
     ):
         size = extents(x) ** n
         sign = np.sign(det[:, :1])
@@ -134,19 +138,17 @@ def turned_over(u: fem.Function, known: dict[str, Any]) -> npt.NDArray[np.float6
         known: What is found for the mesh before, empty at first.
     """
     V, mesh = u.function_space, u.function_space.mesh
-    n, num = mesh.geometry.dim, mesh.topology.index_map(mesh.topology.dim).size_local
-    element, start = lagrange_element(V)[0], V.tabulate_dof_coordinates()[:, :n]
-    points = element.points if element.dim > n + 1 else element.points[:1]  # det J is constant
-    cells = V.dofmap.list[:num]
-    given = element, cells, points, points[:0]
-    if not known or not np.array_equal(known["x"], start):  # not where users move nodes
-        signs = [np.sign(det).astype(np.int8) for _, det, _ in _determinants(start, *given)]
-        known.update(x=start, signs=signs)
-    over = [np.zeros(0, dtype=bool)]
-    after = _determinants(start + u.x.array.reshape(-1, n), *given)
-    for sign, (_, det, _) in zip(known["signs"], after, strict=True):
-        over.append((sign * det < 0).any(axis=1))
-    return start[cells[np.concatenate(over)]].mean(axis=1)
+    if not known or not np.array_equal(known["nodes"], mesh.geometry.x):  # users may move nodes
+        n, num = mesh.geometry.dim, mesh.topology.index_map(mesh.topology.dim).size_local
+        element, start = lagrange_element(V)[0], V.tabulate_dof_coordinates()[:, :n]
+        points = element.points if element.dim > n + 1 else element.points[:1]  # det J is constant
+        dpsi, cells = _slopes(element, points), V.dofmap.list[:num]
+        signs = [np.sign(det).astype(np.int8) for _, det in _determinants(start, dpsi, cells)]
+        known.update(nodes=mesh.geometry.x.copy(), given=(start, dpsi, cells), signs=signs)
+    start, dpsi, cells = known["given"]
+    after = _determinants(start + u.x.array.reshape(start.shape), dpsi, cells)
+    over = [(s * det < 0).any(axis=1) for s, (_, det) in zip(known["signs"], after, strict=True)]
+    return start[cells[np.concatenate([np.zeros(0, dtype=bool), *over])]].mean(axis=1)
 
 
 def _cells_at(mesh: Mesh, facets: Sequence[npt.ArrayLike]) -> npt.NDArray[np.bool_]:
@@ -175,23 +177,26 @@ def _straight(x, cells, points) -> npt.NDArray[np.bool_]:
     return straight
 
 
-def _determinants(x, element, cells, inside, boundary):
-    """Yield a chunk's nodes (cell, node, n), det J (cell, point) and the number of points inside.
+def _slopes(element, points) -> npt.NDArray[np.float64]:
+    """Derivatives of an element's functions at points, ``(point, axis, node)``."""
+    return element.tabulate(1, points)[1:, :, :, 0].swapaxes(0, 1)
+
+
+def _determinants(x, dpsi, cells):
+    """Yield a chunk's nodes (cell, node, n) and det J (cell, point).
 
     Args:
         x: Geometry nodes, ``(num_nodes, n)``.
-        element: Basix element of the geometry.
+        dpsi: From :func:`_slopes`.
         cells: Nodes of each cell.
-        inside: Reference points, ``(num_inside, n)``.
-        boundary: More of them.
     """
-    dpsi = element.tabulate(1, np.vstack((inside, boundary)))[1:, :, :, 0]  # (axis, point, node)
     for start in range(0, len(cells), _chunk):
         nodes = x[cells[start : start + _chunk]]
-        J = np.moveaxis(np.tensordot(nodes, dpsi, (-2, 2)), -1, -3)
+        J = dpsi.reshape(-1, nodes.shape[1]) @ nodes
+        J = J.reshape(len(nodes), *dpsi.shape[:2], -1)  # (cell, point, axis, component)
         with np.errstate(invalid="ignore"):  # NaN in coordinates are left to other checks
             det = _det(J)
-        yield nodes, det, len(inside)
+        yield nodes, det
 
 
 def _det(J: npt.NDArray) -> npt.NDArray:
