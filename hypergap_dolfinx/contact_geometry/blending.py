@@ -20,7 +20,7 @@ law of p and of L times the slips would be that of a mean slip, which needn't be
 those it stands for: forces would jump where c comes to be 0.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -81,15 +81,12 @@ class Blended:
     @cached_property
     def C(self) -> Sparse:
         """∂ĝ/∂u."""
-        return joined(self.L @ self._slopes, self.by_weights(self._g[self.pairs[1]]))
-
-    def by_weights(self, beside: Floats) -> Sparse:
-        """∂L/∂u times values that are counted beside vertices, ``(num_pairs,)``."""
         a, b = self.pairs
         if not len(a):
-            return Sparse.empty()
-        sums = np.bincount(a, self._c[b] * beside, self.num)
-        return self._matrix(self._dq * sums, self._q[a] * beside) @ self._K
+            return self._slopes
+        K, by_c = self._K, self._matrix(self._dq * self._sums_of(self._g), self._q[a] * self._g[b])
+        of_both = joined(self.L, replace(by_c, j=self.num + by_c.j))
+        return of_both @ joined(self._slopes, replace(K, i=self.num + K.i))
 
     def pressures(self, p: Floats) -> Floats:
         """Lᵀp, pressures of vertices from multipliers, ``(num, ...)`` each."""

@@ -6,7 +6,6 @@ A contact's state belongs to its :class:`ContactRows`: all that changes it is a 
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary, ref
@@ -72,7 +71,7 @@ class NormalState:
 
     def copy(self):
         """A copy that changes don't reach."""
-        return copy(self)
+        return type(self)(**vars(self))  # ``copy.copy`` takes several times as long
 
     @property
     def arrays(self) -> dict[str, npt.NDArray]:

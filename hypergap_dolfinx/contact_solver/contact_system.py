@@ -958,12 +958,11 @@ class ContactSystem(NonlinearSystem):
         self._stiffness()
         balance = self._balance
         balance.measure(left, self._num_ties, self._owned(), self._forces, of_contacts)
-        nothing = balance.nothing
-        if not balance.satisfies_others or not all([r.is_closed(nothing) for r in self._rows]):
-            return False
         beyond = balance.unexplained()
         self._is_exact = not beyond and not self._tied  # ties have gaps, too
-        return bool(beyond <= self._rtol * balance.in_bodies)
+        if not balance.satisfies_others or not beyond <= self._rtol * balance.in_bodies:
+            return False
+        return all([rows.is_closed(balance.nothing) for rows in self._rows])
 
     def _balances_between(self) -> bool:
         """True if forces between those of this and of the last state balance; takes these then.

@@ -25,7 +25,8 @@ several multipliers. So they are found with gaps and slips, behind these.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import cached_property
+from itertools import accumulate, pairwise
 
 from mpi4py import MPI
 
@@ -114,10 +115,14 @@ class LinearisedContact:
         self._root = float(np.sqrt(stiffness))
         self._comm = rows[0].spaces[0].mesh.comm
         self._on = np.concatenate([part.is_in for part in rows])
-        self._ends = np.cumsum([0, *(part.num_unknowns for part in rows)])
-        self._starts = np.cumsum([0, *(part.num_lengths for part in rows)])
-        each = zip(self._starts, rows, strict=False)
-        self._own = np.concatenate([at + np.arange(part.num_unknowns) for at, part in each])
+        self._ends = list(accumulate([part.num_unknowns for part in rows], initial=0))
+        self._starts = list(accumulate([part.num_lengths for part in rows], initial=0))
+
+    @cached_property
+    def _own(self) -> npt.NDArray[np.intp]:
+        """Numbers of the gaps and slips of unknowns among all lengths."""
+        each = zip(self._starts, self._rows, strict=False)
+        return np.concatenate([at + np.arange(part.num_unknowns) for at, part in each])
 
     def solve(
         self,
@@ -405,7 +410,7 @@ class LinearisedContact:
         return found
 
     @staticmethod
-    def _split(values: npt.NDArray, ends: npt.NDArray) -> list[npt.NDArray]:
+    def _split(values: npt.NDArray, ends: Sequence[int]) -> list[npt.NDArray]:
         """Values by contact."""
         return [values[a:b] for a, b in pairwise(ends)]
 

@@ -28,8 +28,8 @@ class Settable:
         Raises:
             AttributeError: Another one, such as a misspelt name.
         """
-        ours = not name.startswith("_") and type(self).__module__.partition(".")[0] == PACKAGE
-        if ours and self.__dict__.get("_made", False):
+        is_made = not name.startswith("_") and self.__dict__.get("_made", False)
+        if is_made and type(self).__module__.partition(".")[0] == PACKAGE:
             properties = {key: getattr(type(self), key) for key in dir(type(self))}
             can = [key for key, one in properties.items() if getattr(one, "fset", None)]
             if name not in can:

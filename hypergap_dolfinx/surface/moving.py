@@ -243,6 +243,5 @@ class Sparse:
 
 def joined(*parts: Sparse) -> Sparse:
     """The sum of sparse matrices."""
-    return Sparse(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("i", "j", "values"))
-    )
+    i, j, values = zip(*[(part.i, part.j, part.values) for part in parts], strict=True)
+    return Sparse(np.concatenate(i), np.concatenate(j), np.concatenate(values))
