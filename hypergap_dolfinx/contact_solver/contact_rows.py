@@ -268,6 +268,7 @@ class ContactRows:
             for weights in (1.0, self._moves[self.C.j])
         )
         self.valid = (self.m > 0) & (free > HOLDS**2 * every)
+        self._apart = self._over_areas(self.g, np.inf)
         self._lengths, self._acting = self.g, self.C
 
     def activate(self, active: npt.NDArray[np.bool_]):
@@ -683,7 +684,7 @@ class ContactRows:
     @property
     def distance(self) -> npt.NDArray[np.float64]:
         """Clearance over area, infinite where there is no multiplier, ``(num_multipliers,)``."""
-        return self._over_areas(self.clearance, np.inf)
+        return self._over_areas(self.clearance, np.inf) if self.has_compliance else self._apart
 
     @property
     def closed(self) -> float:
@@ -957,6 +958,8 @@ class ContactRows:
     @property
     def largest_gap(self) -> float:
         """Largest gap, or overlap, of the active set, a length."""
+        if not self.state.active.any():
+            return 0.0
         return float(np.abs(self.distance[self.state.active]).max(initial=0))
 
     @property

@@ -588,14 +588,13 @@ class ContactSystem(NonlinearSystem):
 
     def _record(self, step: int):
         """Record a Newton step."""
-        now, last = [rows.state.active for rows in self._rows], self._recorded
-        came, went = (
-            sum(int(np.count_nonzero(a > b)) for a, b in zip(*pair, strict=True))
-            for pair in ((now, last), (last, now))
-        )
+        now = [rows.state.active for rows in self._rows]
+        changes = [a ^ b for a, b in zip(now, self._recorded, strict=True)]
+        num = sum(map(np.count_nonzero, changes))
+        came = sum(int(np.count_nonzero(a & b)) for a, b in zip(now, changes)) if num else 0
         gap = max(rows.largest_gap for rows in self._rows)
         residual = self._balance.unbalanced / (self._balance.in_bodies or 1)
-        found = {"gap": gap, "came": came, "went": went, "step": step}
+        found = {"gap": gap, "came": came, "went": int(num) - came, "step": step}
         self._records.note(residual, self._tangent.iterations, **found)
         self._recorded = now
 

@@ -56,9 +56,9 @@ class ForceBalance:
         self._dim = fields[0].part.space.mesh.topology.dim
         mine = [self._displacements(i, held[i]).sum(axis=0) for i in range(self._num)]
         num_held = self._comm.allreduce(np.reshape(mine, (-1, self._dim)))
-        self._free_axes = [(int(i), int(a)) for i, a in np.argwhere(num_held == 0)]
-        bodies = np.array([i for i, _ in self._free_axes])
-        self._same_body = bodies[:, None] == bodies
+        bodies, _ = np.nonzero(num_held == 0)
+        self._free_axes = {int(i): np.flatnonzero(num_held[i] == 0) for i in bodies}
+        self._same_body = bodies[:, None] == bodies  # of pairs of free axes
         self.unbalanced = self.last_unbalanced = np.inf
         """Norm of the residual of bodies, and before the last Newton step."""
         self.in_bodies = 0.0
@@ -77,7 +77,9 @@ class ForceBalance:
         pairs = list(zip(self._fields, self._K, strict=True))
         self.stiffness = min((field.stiffness(K) for field, K in pairs[: self._num]), default=0.0)
         self._row_lengths = [field.lengths(K) for field, K in pairs]
-        self._translated = [(i, a, self._forces_of(i, a)) for i, a in self._free_axes]
+        self._translated = {
+            i: np.abs([self._forces_of(i, a) for a in axes]) for i, axes in self._free_axes.items()
+        }
 
     def measure(
         self,
@@ -178,14 +180,12 @@ class ForceBalance:
             Sums for each body and axis, and those of the terms in them, ``(2, num)``: stresses have
             none, springs and masses have.
         """
-        sums = [
-            (
-                self.left[i].real[a :: self._dim].sum(),
-                np.abs(column) @ np.abs(self._fields[i].part.of_body(owned[i])),
-            )
-            for i, a, column in self._translated
-        ]
-        return np.reshape(sums, (-1, 2)).T
+        sums = [np.zeros((2, 0))]
+        for i, columns in self._translated.items():
+            along = self.left[i].real.reshape(-1, self._dim).sum(axis=0)[self._free_axes[i]]
+            terms = columns @ np.abs(self._fields[i].part.of_body(owned[i]))
+            sums.append(np.stack((along, terms)))
+        return np.hstack(sums)
 
     def _of_couplings(self, left: Arrays) -> tuple[float, float]:
         """Squares of couplings' residuals and of their extents, as forces. Collective."""
