@@ -90,8 +90,9 @@ static void lagrange(int n, const double *at, double s, double N[4][MOST_DOFS])
 
 Curve curve_at(const Side *side, int edge, double s, const double *origin)
 {
-  Curve curve = {.x = {{0}}};
+  Curve curve;
   double N[4][MOST_DOFS];
+  memset(curve.x, 0, sizeof(curve.x)), memset(curve.across, 0, sizeof(curve.across));
   const double *nodes = node(side, edge, 0);
   lagrange(side->num_nodes, side->node_at, s, N);
   lagrange(side->num_dofs, side->dof_at + edge % side->num_parts * side->num_dofs, s, curve.N);
@@ -361,19 +362,20 @@ static double find_foot(const Cast *cast, const double *x, Point *point)
       double c[2] = {b[0] - a[0], b[1] - a[1]}, d[2] = {x[0] - a[0], x[1] - a[1]};
       double square = c[0] * c[0] + c[1] * c[1], t = (d[0] * c[0] + d[1] * c[1]) / square;
       int at = t <= 0 ? k : t >= 1 ? k + 1 : -1;
-      double inside = (c[0] * d[1] - c[1] * d[0]) / sqrt(square);
-      double far = fabs(inside);
+      double across = c[0] * d[1] - c[1] * d[0], far = across * across / square;
       if (at >= 0)
       {
         const double *y = node(side, g, order[at]);
-        far = sqrt((x[0] - y[0]) * (x[0] - y[0]) + (x[1] - y[1]) * (x[1] - y[1]));
+        far = (x[0] - y[0]) * (x[0] - y[0]) + (x[1] - y[1]) * (x[1] - y[1]);
       }
-      if (!(far < nearest))
+      if (!(far < nearest)) // squares
         continue;
       int beyond = at == 0 || at == side->num_nodes - 1 ? beside_of(side, g, at > 0) : -1;
       if (beyond >= 0 && !can_meet(cast, beyond))
         continue; // where the surface goes on to the point itself
       nearest = far;
+      far = sqrt(far);
+      double inside = across / sqrt(square);
       point->foot = g;
       point->nodes[0] = order[at < 0 ? k : at], point->nodes[1] = order[at < 0 ? k + 1 : at];
       point->sign = 1, depth = inside;
