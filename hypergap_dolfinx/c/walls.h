@@ -11,12 +11,12 @@
 
 // A surface before and after it moved.
 typedef struct {
-  int num;
+  int n, num;
   const int *vertices; // of its simplices, (num, n)
-  const double *x;     // where they are, (2, num, n, n)
+  const double *x;     // where they are, (2, num, n, 3)
 } Moved;
 
-int find_passed(int n, const Moved *mine, const Moved *others, int itself, double least,
-                double facing, int *found);
+int find_passed(const Moved *mine, const Moved *others, int itself, double least, double facing,
+                int *found);
 
 #endif

@@ -148,17 +148,21 @@ def went_through(sides: Sequence[tuple[Surface, Surface]], least: float) -> list
         of which some facets did, ``(num,)`` each.
     """
     corners = [_simplices(before) for before, _ in sides]
-    c = [np.stack([s.x[at] for s in ways]) for ways, at in zip(sides, corners, strict=True)]
+    c = [np.zeros((2, *at.shape, 3)) for at in corners]
+    for ends, ways, at in zip(c, sides, corners, strict=True):
+        for x, surface in zip(ends, ways, strict=True):
+            x[..., : surface.x.shape[1]] = surface.x[at]
     shift = (c[-1][1] - c[-1][0]).mean(axis=(0, 1))
     for ends in c:
         ends[1] -= shift
-    pairs = list(zip(corners, c, strict=True))
-    in_c = [struct("Moved", num=len(at), vertices=ints(at), x=ends) for at, ends in pairs]
+    in_c = [
+        struct("Moved", n=at.shape[1], num=len(at), vertices=ints(at), x=ends)
+        for at, ends in zip(corners, c, strict=True)
+    ]
     result, none = [], np.empty(0, dtype=np.intp)
     for at, mine, others in zip(corners, in_c, in_c[::-1], strict=True):
         found = np.empty(at.shape, np.int32)
-        given = at.shape[1], mine, others, len(sides) == 1, least, FACING_COSINE, found
-        if call("find_passed", *given):
+        if call("find_passed", mine, others, len(sides) == 1, least, FACING_COSINE, found):
             raise MemoryError("no memory for the walls of surfaces")
         if not found.any():
             result.append((none, none))
