@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from assembly import Elastic
+from assembly import Elastic, lame_constants
 from helpers import raises, two_ranks
 
 import meshes
@@ -305,6 +305,22 @@ def test_small_loads_of_stiff_bodies():
         scene.load.value = load
         scene.problem.solve()
         assert abs(scene.contact.force(scene.problem)[1]) == pytest.approx(load, rel=1e-6)
+
+
+@two_ranks()
+def test_free_fall():
+    """Stresses along both axes have one round-off: a ring that falls takes one Newton step."""
+    ring, ft = meshes.ring_sector(comm, 16, 2, 0.3, 1.0, angle=2 * np.pi)
+    floor, floor_ft = meshes.block(comm, (8, 1), lambda x: np.array((4, 1)) * (x - (0.5, 4)))
+    V, V_floor = (fem.functionspace(mesh, ("Lagrange", 1, (2,))) for mesh in (ring, floor))
+    body, place = Elastic.on(V, lame_constants(100.0), large=True), fem.Constant(ring, (0.0, 0.0))
+    F = body.F + 4e4 * ufl.inner(body.u - place, ufl.TestFunction(V)) * ufl.dx
+    contact = Contact((V_floor, floor_ft.find(meshes.TOP)), (V, ft.find(meshes.OUTER)))
+    problem = ContactProblem([None, F], [fem.Function(V_floor), body.u], contacts=[contact])
+    for time in range(1, 7):
+        place.value = 0, -(time**2) / 50
+        problem.solve()
+        assert problem.iterations <= 1
 
 
 @pytest.mark.parametrize("E", (1e-12, 1e11))
