@@ -178,7 +178,7 @@ test-container:
 
 # The libraries have another name with these flags: the cache keeps both
 SANITIZE := -g1 -fsanitize=address,undefined -fno-sanitize-recover=undefined
-sanitized_tests := tests/core/test_compiled.py tests/surface/test_surface.py \
+sanitized_tests := tests/core/test_compiled.py $(addprefix tests/surface/test_,moving.py surface.py) \
 	$(addprefix tests/gap_mesh/test_,front.py slab.py) tests/contact_geometry
 sanitize: export OMP_NUM_THREADS := 1
 sanitize: export HYPERGAP_CFLAGS := $(SANITIZE)
