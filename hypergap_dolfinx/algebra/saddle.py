@@ -287,7 +287,8 @@ def _residual(ksp: PETSc.KSP, units: npt.NDArray | None) -> tuple[float, float]:
     parts = (part.array_r if units is None else units * part.array_r for part in (r, b))
     own = np.array([np.linalg.norm(part) ** 2 for part in parts])
     r.destroy()
-    length, size = np.sqrt(A.comm.tompi4py().allreduce(own))
+    A.comm.tompi4py().Allreduce(MPI.IN_PLACE, own)
+    length, size = np.sqrt(own)
     return float(length), float(size)
 
 

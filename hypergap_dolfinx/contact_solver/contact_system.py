@@ -600,8 +600,7 @@ class ContactSystem(NonlinearSystem):
 
     def _is_finite(self) -> bool:
         """True if the residual is one of numbers. Collective."""
-        norms = sum(float(np.abs(b.array_r).sum()) for b in self._b.getNestSubVecs())
-        return bool(np.isfinite(self._comm.allreduce(norms)))
+        return all(np.isfinite([b.norm() for b in self._b.getNestSubVecs()]))
 
     def _step(
         self, jump: Sequence[npt.NDArray[np.float64]] | None, stiffness: float
@@ -654,7 +653,7 @@ class ContactSystem(NonlinearSystem):
         largest = largest_change(self._comm, found.changes, self._fixed)
         self._reach = np.inf if found.leaves else largest / SHORTENED  # held near its place
         changes = self._of_displacements(found.changes)
-        work = self._comm.allreduce(sum(map(np.dot, changes, balance.left)))
+        work = self._comm.allreduce(float(np.real(sum(map(np.dot, changes, balance.left)))))
         for rows, (p, g) in zip(self._rows, last, strict=True):
             work -= ((rows.state.p - p) * g)[rows.state.active].sum()
         return (start, self._state()), work, found.is_stiffened

@@ -65,6 +65,7 @@ class ForceBalance:
         """Norm of the forces in bodies and contacts."""
         self.left: list[npt.NDArray] = []
         """This rank's residual of displacements."""
+        self._translated: dict[int, npt.NDArray[np.float64]] | None = None
         self.stiffness = 0.0
         """Mean diagonal of the softest elastic body; 0 without any."""
 
@@ -77,9 +78,7 @@ class ForceBalance:
         pairs = list(zip(self._fields, self._K, strict=True))
         self.stiffness = min((field.stiffness(K) for field, K in pairs[: self._num]), default=0.0)
         self._row_lengths = [field.lengths(K) for field, K in pairs]
-        self._translated = {
-            i: np.abs([self._forces_of(i, a) for a in axes]) for i, axes in self._free_axes.items()
-        }
+        self._translated = None
 
     def measure(
         self,
@@ -109,11 +108,11 @@ class ForceBalance:
             for field, values in zip(self._fields, of, strict=True)
         ]
         found.append(np.array([np.vdot(part, part).real for part in left[bodies:num]]))  # at jumps
-        found.append(self._along_axes(owned).ravel())
         sums = np.concatenate(found)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         ends = accumulate(map(len, found), initial=0)
-        *found, jumps, self._along = [sums[a:b] for a, b in pairwise(ends)]
+        *found, jumps = [sums[a:b] for a, b in pairwise(ends)]
+        self._owned = owned
         errors, values = found[:bodies], found[bodies:]
         apart, extent = self._of_couplings(left)
         rest = jumps.sum() + apart + sum(error[0] for error in errors[self._num :])
@@ -136,12 +135,14 @@ class ForceBalance:
         self.in_bodies = float(np.sqrt(size))
 
     def unexplained(self) -> float:
-        """Norm of what of the residual isn't round-off."""
+        """Norm of what of the residual isn't round-off; if little, its largest sum. Collective."""
         known = self._largest.copy()
         for i, depends in enumerate(self._depends):
             known[i] += self._at_rest(i) * (depends.on_u and not self.converges)
         beyond = float(np.linalg.norm(np.maximum(self._errors - ROUND_OFF_FORCES * known, 0)))
-        force, terms = np.abs(self._along).reshape(2, -1)
+        if not beyond <= self._rtol * self.in_bodies:
+            return beyond
+        force, terms = np.abs(self._along_axes())
         terms = (self._same_body * terms).sum(axis=1)  # stresses along all axes are found together
         force = force - ROUND_OFF_FORCES * (self.in_bodies + terms)
         return max(beyond, float(force.max(initial=0)))
@@ -173,19 +174,24 @@ class ForceBalance:
         """This rank's displacements among values of a body, by axes."""
         return self._fields[i].part.of_body(values).reshape(-1, self._dim)
 
-    def _along_axes(self, owned: Arrays) -> npt.NDArray[np.float64]:
-        """This rank's sums of the residual along free axes.
+    def _along_axes(self) -> npt.NDArray[np.float64]:
+        """Sums of the residual along free axes. Collective.
 
         Returns:
             Sums for each body and axis, and those of the terms in them, ``(2, num)``: stresses have
             none, springs and masses have.
         """
-        sums = [np.zeros((2, 0))]
+        if self._translated is None:
+            each = self._free_axes.items()
+            self._translated = {i: np.abs([self._forces_of(i, a) for a in of]) for i, of in each}
+        parts = [np.zeros((2, 0))]
         for i, columns in self._translated.items():
             along = self.left[i].real.reshape(-1, self._dim).sum(axis=0)[self._free_axes[i]]
-            terms = columns @ np.abs(self._fields[i].part.of_body(owned[i]))
-            sums.append(np.stack((along, terms)))
-        return np.hstack(sums)
+            terms = columns @ np.abs(self._fields[i].part.of_body(self._owned[i]))
+            parts.append(np.stack((along, terms)))
+        sums = np.hstack(parts)
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        return sums
 
     def _of_couplings(self, left: Arrays) -> tuple[float, float]:
         """Squares of couplings' residuals and of their extents, as forces. Collective."""
