@@ -278,7 +278,7 @@ class ContactRows:
     def commit(self):
         """Accept the state: the next load step starts from it."""
         self.start = self.u
-        for side, u in zip(self.sides, self.u, strict=True):
+        for side, u in zip(self.sides, self.u, strict=True) if self._follows else ():
             side.keep(u)
 
     def restore(self, state: NormalState):
