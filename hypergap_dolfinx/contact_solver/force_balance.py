@@ -57,7 +57,7 @@ class ForceBalance:
         mine = [self._displacements(i, held[i]).sum(axis=0) for i in range(self._num)]
         num_held = self._comm.allreduce(np.reshape(mine, (-1, self._dim)))
         bodies, _ = np.nonzero(num_held == 0)
-        self._free_axes = {int(i): np.flatnonzero(num_held[i] == 0) for i in bodies}
+        self._free_axes = {int(i): np.flatnonzero(num_held[i] == 0).tolist() for i in bodies}
         self._same_body = bodies[:, None] == bodies  # of pairs of free axes
         self.unbalanced = self.last_unbalanced = np.inf
         """Norm of the residual of bodies, and before the last Newton step."""
