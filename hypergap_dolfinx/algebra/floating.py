@@ -45,7 +45,8 @@ class FreeMotions:
             without: Numbers of interfaces that hinder nothing.
         """
         self._fields, spaces = list(parts_of), [part.space for part in parts_of]
-        self._spaces, self._parts = spaces, [parts(V) for V in spaces]
+        self._spaces, self.parts = spaces, [parts(V) for V in spaces]
+        """:func:`~hypergap_dolfinx.core.graph.parts` of each body."""
         self.places = [places(V) for V in spaces]
         """Initial positions of this rank's owned nodes of each body, ``(num_nodes, n)`` each."""
         bodies = [x for V, x in zip(spaces, self.places, strict=True) if rotates(V)]
@@ -60,7 +61,7 @@ class FreeMotions:
         hindrance = Hindrance(fields, K, ties, modes)
         alone = hindrance.unhindered(rows)
         # Tied bodies move as one, even if that strains a tie by an error of its mesh
-        groups, apart = tied_groups(fields, self._parts, self.places, ties)
+        groups, apart = tied_groups(fields, self.parts, self.places, ties)
         together = np.zeros((0, ends[-1]))
         for g in range(max(int(group.max()) for group in groups) + 1):
             common = self._common(groups, g)
@@ -106,7 +107,7 @@ class FreeMotions:
 
     def _modes(self, i: int, x) -> npt.NDArray[np.float64]:
         """Rigid motions of a body's parts, of length 1 in its initial position. Collective."""
-        V, (part, num_parts) = self._spaces[i], self._parts[i]
+        V, (part, num_parts) = self._spaces[i], self.parts[i]
         comm, part = V.mesh.comm, np.repeat(part, V.dofmap.index_map_bs)[:, None]
         modes = motions(V, self._centre, x)
         modes = np.hstack([np.where(part == p, modes, 0) for p in range(num_parts)])

@@ -1018,7 +1018,7 @@ class ContactSystem(NonlinearSystem):
         if self._tied or self._points or self._num_free or jump is None or not pushes:
             return
         now, ways, held = map(self._of_displacements, (self._owned(), jump, self._held))
-        motions = prescribed_motions(self._comm, self._free.places, now, ways, held)
+        motions = prescribed_motions(self._comm, self._free, now, ways, held)
         if None in motions:
             return
         far, together = self._slides(jump), True

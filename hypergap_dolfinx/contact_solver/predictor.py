@@ -14,8 +14,11 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx import fem
+from hypergap_dolfinx.algebra.floating import FreeMotions
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
 from hypergap_dolfinx.contact_solver.tolerances import HOLDS
+from hypergap_dolfinx.core.collective import look_up
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,36 @@ class RigidMotion:
     def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Displacements of points, ``(num, n)`` each."""
         return (x - self.start) @ self.turn.T + self.end - x
+
+
+@dataclass(frozen=True)
+class PartsMotion:
+    """A rigid motion of each connected part of a body's mesh."""
+
+    part: npt.NDArray[np.int32]
+    """Part of each of this rank's owned nodes, ``(num_nodes,)``."""
+    of_parts: list[RigidMotion]
+
+    @property
+    def turns(self) -> bool:
+        """True if a part turns."""
+        return any(motion.turns for motion in self.of_parts)
+
+    def shift(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Displacements of this rank's owned nodes at x, ``(num_nodes, n)`` each."""
+        each = [motion.shift(x) for motion in self.of_parts]
+        return np.stack(each)[self.part, np.arange(len(x))]
+
+    def of_nodes(self, V: fem.FunctionSpace, nodes: npt.NDArray[np.int64]) -> RigidMotion | None:
+        """Motion of some of the body's nodes, None if they are of several parts. Collective.
+
+        Args:
+            V: The body's space.
+            nodes: Their global numbers, the same on every rank.
+        """
+        start = V.dofmap.index_map.local_range[0]
+        found = np.unique(look_up(V.mesh.comm, self.part[:, None], start, nodes))
+        return self.of_parts[found[0]] if len(found) == 1 else None
 
 
 def leading(
@@ -70,30 +103,33 @@ def leading(
 
 def prescribed_motions(
     comm: MPI.Comm,
-    places: Sequence[npt.NDArray[np.float64]],
+    bodies: FreeMotions,
     u: Sequence[npt.NDArray[np.float64]],
     moves: Sequence[npt.NDArray[np.float64]],
     held: Sequence[npt.NDArray[np.bool_]],
-) -> list[RigidMotion | None]:
-    """Rigid motion of each body by its prescribed increments; None if undetermined. Collective.
+) -> list[PartsMotion | None]:
+    """Rigid motions of each body by its prescribed increments; None if undetermined. Collective.
 
     Args:
         comm: Communicator.
-        places: Undeformed positions of this rank's owned nodes of each body, ``(num_nodes, n)``.
+        bodies: The bodies' nodes.
         u: Their displacements, ``(num_dofs,)`` each.
         moves: Increments that prescribed ones still have to make, likewise.
         held: Mask of prescribed ones, likewise.
     """
-    found = []
-    for x, now, way, on in zip(places, u, moves, held, strict=True):
+    found: list[PartsMotion | None] = []
+    each = zip(bodies.places, bodies.parts, u, moves, held, strict=True)
+    for x, (part, num_parts), now, way, on in each:
         whole = on.reshape(x.shape).all(axis=1)
-        x = x + now.reshape(x.shape)
-        found.append(leading(comm, x[whole], way.reshape(x.shape)[whole]))
+        x, way = x + now.reshape(x.shape), way.reshape(x.shape)
+        of_parts = [leading(comm, x[at], way[at]) for at in whole & (part == np.c_[:num_parts])]
+        known = [motion for motion in of_parts if motion is not None]
+        found.append(PartsMotion(part, known) if len(known) == num_parts else None)
     return found
 
 
 def motions_of(
-    rows: ContactRows, motions: Sequence[RigidMotion]
+    rows: ContactRows, motions: Sequence[PartsMotion]
 ) -> tuple[list[RigidMotion | None], float]:
     """Rigid motions of a contact's sides, and how far they separate these. Collective.
 
@@ -108,11 +144,11 @@ def motions_of(
     now = rows.displacements([f.x.array for f in rows.fields])
     x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
     found: list[RigidMotion | None] = []
-    for body, side, x, u in zip(rows.bodies, rows.sides, (x0, x1), now, strict=True):
+    for i, (body, side, x, u) in enumerate(zip(rows.bodies, rows.sides, (x0, x1), now, strict=True)):
         if body is None:
             found.append(leading(MPI.COMM_SELF, x, side.displaced(u).x - x))
         else:
-            found.append(motions[body])
+            found.append(motions[body].of_nodes(rows.components[i].space, side.dofs))
     motion0, motion1 = found
     if motion0 is None or motion1 is None:
         return found, np.inf
