@@ -583,12 +583,15 @@ class ContactProblem(ContactSystem):
 
     def _warn_of_stiffness(self, comm):
         """Warn of a Γ1 that is far stiffer than Γ0 and not coarser. Collective."""
-        size = [field.stiffness(K) for field, K in zip(self._fields, self._K, strict=True)]
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             i, j = (None if b is None or b >= self._num_elastic else b for b in rows.bodies)
-            if i is None or contact.geometry.finer * ALIKE < 1 or comm.rank > 0:
+            if i is None or contact.geometry.finer * ALIKE < 1:
                 continue
-            if j is None or size[j] > STIFF * size[i]:
+            size = [
+                np.inf if b is None else self._fields[b].stiffness(self._K[b], self._held[b], side.dofs)
+                for b, side in zip((i, j), rows.sides, strict=True)
+            ]
+            if size[1] > STIFF * size[0] and comm.rank == 0:
                 LOG.warning(
                     f"contact {c}: Γ1's body is {'rigid' if j is None else "far stiffer than Γ0's"}"
                     ", with facets that aren't longer; pressures will scatter: swap its sides "

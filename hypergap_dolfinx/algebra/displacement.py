@@ -6,13 +6,18 @@ Other fields (a pressure, a temperature) have other units, and equations that ar
 forces: each field's are satisfied to a share of the terms in them.
 """
 
+from functools import cached_property
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.core.sparse import mean_diagonal, row_length
+from hypergap_dolfinx.core.collective import look_up
+from hypergap_dolfinx.core.graph import parts
+from hypergap_dolfinx.core.sparse import row_length
 from hypergap_dolfinx.surface.component import Component, unrolled
 from hypergap_dolfinx.surface.moving import MovingSurface
 
@@ -47,15 +52,42 @@ class DisplacementField:
             return np.array([np.vdot(values, values).real])
         return np.bincount(self._field, np.abs(values) ** 2, self._num_fields)
 
-    def stiffness(self, K: PETSc.Mat) -> float:
-        """Mean absolute value on the displacements' diagonal. Collective."""
-        if not self.num_others:
-            return mean_diagonal(K)
+    @cached_property
+    def _parts(self) -> tuple[npt.NDArray[np.int32], int]:
+        """Connected part of each owned node, and their number. Collective."""
+        return parts(self.part.space)
+
+    def stiffness(
+        self,
+        K: PETSc.Mat,
+        held: npt.NDArray[np.bool_],
+        nodes: npt.NDArray[np.int64] | None = None,
+    ) -> float:
+        """Mean absolute value on the displacements' diagonal, of the softest part. Collective.
+
+        Args:
+            K: The body's stiffness.
+            held: Mask of this rank's prescribed dofs, whose rows have the whole body's size.
+            nodes: Global numbers of nodes, the same on every rank, whose parts are meant; all.
+
+        Returns:
+            The mean; infinite if all is prescribed.
+        """
+        part, num_parts = self._parts
         diagonal = K.getDiagonal()
         mine = np.abs(self.part.of_body(diagonal.array_r))
         diagonal.destroy()
+        free = ~self.part.of_body(held)
+        each = np.repeat(part, len(mine) // max(len(part), 1))[free]
+        sums = np.array([np.bincount(each, by, num_parts) for by in (mine[free], np.ones(len(each)))])
         comm = self.part.space.mesh.comm
-        return comm.allreduce(float(mine.sum())) / comm.allreduce(len(mine))
+        comm.Allreduce(MPI.IN_PLACE, sums)
+        meant = sums[1] > 0
+        if nodes is not None and num_parts > 1:
+            start = self.part.space.dofmap.index_map.local_range[0]
+            found = look_up(comm, part[:, None], start, nodes)
+            meant &= np.isin(np.arange(num_parts), found)
+        return float((sums[0] / np.maximum(sums[1], 1))[meant].min(initial=np.inf))
 
     def of_slopes(self, K: PETSc.Mat, side: MovingSurface) -> npt.NDArray[np.float64]:
         """Forces at a surface's dofs by displacements that are linear in space. Collective.

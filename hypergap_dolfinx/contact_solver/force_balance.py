@@ -50,7 +50,7 @@ class ForceBalance:
             rtol: Residual, over the forces in the bodies, treated as zero.
         """
         self._fields, self._K, self._depends = fields, K, depends
-        self._couplings, self._finest, self._rtol = couplings, finest, rtol
+        self._couplings, self._finest, self._rtol, self._held = couplings, finest, rtol, held
         self._num = len(depends)  # elastic bodies
         self._comm = fields[0].part.space.mesh.comm
         self._dim = fields[0].part.space.mesh.topology.dim
@@ -75,8 +75,10 @@ class ForceBalance:
 
     def measure_stiffness(self):
         """Measure the stiffness, which has changed. Collective."""
-        pairs = list(zip(self._fields, self._K, strict=True))
-        self.stiffness = min((field.stiffness(K) for field, K in pairs[: self._num]), default=0.0)
+        bodies = zip(self._fields, self._K, self._held[: self._num], strict=False)
+        found = min((field.stiffness(K, held) for field, K, held in bodies), default=0.0)
+        self.stiffness = found if np.isfinite(found) else 0.0
+        pairs = zip(self._fields, self._K, strict=True)
         self._row_lengths = [field.lengths(K) for field, K in pairs]
         self._translated = None
 
