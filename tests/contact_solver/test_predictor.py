@@ -9,7 +9,10 @@ import pytest
 from assembly import Elastic, lame_constants
 from helpers import two_ranks
 
+import basix.ufl
+import dolfinx
 import meshes
+import ufl
 from dolfinx import default_scalar_type, fem
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
@@ -220,3 +223,72 @@ def test_start_with_inverted_cells(monkeypatch):
     monkeypatch.setattr(Extrapolation, "changes", too_far)
     counts, _ = lower(5)
     assert called and max(counts) <= 8
+
+
+def boxes(together):
+    """A box above a wider one: one mesh of two parts, or two meshes."""
+    corners, cells, num = [], [], 0
+    for low, high, n in (
+        ((0, 0, 0), (3, 1.5, 1), (5, 2, 1)),
+        ((0.7, 0.3, 1.05), (1.7, 1.1, 1.85), (3, 2, 1)),
+    ):
+        lines = [np.linspace(*ends) for ends in zip(low, high, np.add(n, 1), strict=True)]
+        corners.append(np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3))
+        number = np.arange(len(corners[-1])).reshape(np.add(n, 1)) + num * together
+        of_cells = [
+            number[i : n[0] + i, j : n[1] + j, k : n[2] + k].ravel()
+            for k, j, i in np.ndindex(2, 2, 2)
+        ]
+        cells.append(np.column_stack(of_cells).astype(np.int64))
+        num += len(corners[-1])
+    if together:
+        corners, cells = [np.vstack(corners)], [np.vstack(cells)]
+    mine = slice(None) if comm.rank == 0 else slice(0)
+    element = basix.ufl.element("Lagrange", "hexahedron", 1, shape=(3,))
+    return [
+        dolfinx.mesh.create_mesh(comm, part[mine], e=element, x=x[mine])
+        for x, part in zip(corners, cells, strict=True)
+    ]
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("upper", (1.0, 1e7))
+def test_parts_of_one_mesh(upper):
+    """Two parts of one mesh press, stick and slip as two meshes do."""
+    found = []
+    for together in (False, True):
+        parts = boxes(together)
+        V = [fem.functionspace(mesh, ("Lagrange", 1, (3,))) for mesh in parts]
+        u, F = [fem.Function(W) for W in V], []
+        for w in u:
+            v, z = ufl.TestFunction(w.function_space), ufl.SpatialCoordinate(w.function_space.mesh)[2]
+            eps = ufl.sym(ufl.grad(w))
+            sigma = ufl.conditional(z < 1.02, 1.0, upper) * (eps + ufl.tr(eps) * ufl.Identity(3))
+            F.append(ufl.inner(sigma, ufl.grad(v)) * ufl.dx)
+
+        def side(i, z):
+            i = min(i, len(V) - 1)
+            at = dolfinx.mesh.locate_entities_boundary(V[i].mesh, 2, lambda x: np.isclose(x[2], z))
+            return V[i], at
+
+        moved = fem.Constant(parts[-1], default_scalar_type((0, 0, 0)))
+        bcs = [
+            fem.dirichletbc(value, fem.locate_dofs_topological(W, 2, at), W)
+            for (W, at), value in (
+                (side(0, 0), np.zeros(3, dtype=default_scalar_type)),
+                (side(1, 1.85), moved),
+            )
+        ]
+        contact = Contact(side(1, 1.05), side(0, 1), friction=0.3)
+        problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+        for goal in ((0, 0, -0.08), (0.08, 0.03, -0.1)):
+            moved.value[:] = goal
+            problem.solve()
+        order = np.lexsort(contact.surfaces[1].x.round(6).T)
+        slips = contact.slips(problem)[order]
+        found.append((slips, contact.pressures(problem)[order], problem.iterations))
+    slips, pressures, num = zip(*found, strict=True)
+    assert abs(slips[0]).max() > 0.01
+    np.testing.assert_allclose(slips[1], slips[0], atol=1e-8)
+    np.testing.assert_allclose(pressures[1], pressures[0], atol=1e-6 * pressures[0].max())
+    assert num[1] <= num[0] + 1
