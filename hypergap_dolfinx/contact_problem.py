@@ -158,6 +158,7 @@ class ContactProblem(ContactSystem):
         if not (isinstance(rtol, float | int | np.floating) and 0 <= rtol < 1):
             raise ValueError(f"rtol is a number ≥ 0 and below 1, not {rtol!r}.")
         ties = [ties] if isinstance(ties, Tie) else list(ties or ())
+        self._watch(bcs)
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         for name, given, kind in (("contacts", contacts, Contact), ("ties", ties, Tie)):
             wrong = [one for one in given if not isinstance(one, kind)]
@@ -323,6 +324,7 @@ class ContactProblem(ContactSystem):
             ValueError: A negative coefficient of friction.
         """
         self._check_usable()
+        self._check_bcs()
         with self._interrupts:
             self._records.start(self._num_steps + 1, self._tangent.iterations)
             self._iterations = self._halvings = 0

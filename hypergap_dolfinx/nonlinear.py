@@ -105,6 +105,7 @@ class NonlinearTiedProblem(NonlinearSystem):
         if any(isinstance(given, ufl.Form | fem.Function) for given in (F, u)):
             raise ValueError("F and u are lists, with one form and one function for each body.")
         ties = [ties] if isinstance(ties, Tie) else ties
+        self._watch(bcs)
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else list(bcs or ())
         coupled = motions_of(couplings)
         search = "snes_linesearch_type"
@@ -164,6 +165,7 @@ class NonlinearTiedProblem(NonlinearSystem):
                 multipliers have their values from before the call.
         """
         self._check_usable()
+        self._check_bcs()
         with self._interrupts:
             self._records.start(self._num_steps + 1)
             try:

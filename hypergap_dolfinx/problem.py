@@ -125,6 +125,7 @@ class TiedProblem(TiedSystem):
                 f"{len(a)} bilinear and {len(L)} linear forms: give one of each for every body."
             )
         ties = [ties] if isinstance(ties, Tie) else ties
+        self._watch(bcs)
         bcs = [bcs] if isinstance(bcs, fem.DirichletBC) else bcs
         if any(isinstance(tie, Tie) and tie.law and not tie.law.linear for tie in ties):
             raise ValueError("a tie with a law of its jump is for a NonlinearTiedProblem.")
@@ -170,6 +171,7 @@ class TiedProblem(TiedSystem):
 
     def assemble_vector(self):
         """Assemble loads and prescribed displacements into b. Collective."""
+        self._check_bcs()
         prescribed = []
         self._read_couplings(linear=True)
         bodies = zip(self._b_bodies, self._a, self._L, self._bcs, strict=True)

@@ -348,6 +348,20 @@ class TiedSystem(collective.Owner, Settable):
         if "_x" not in self.__dict__:
             raise ValueError("the problem was destroyed.")
 
+    def _watch(self, bcs):
+        """Remember the user's boundary conditions, which are read once."""
+        self._bcs_read = (bcs, list(bcs)) if isinstance(bcs, list) else ([], [])
+
+    def _check_bcs(self):
+        """Raise if the user's list has other boundary conditions than when it was read."""
+        now, then = self._bcs_read
+        if len(now) != len(then) or any(a is not b for a, b in zip(now, then, strict=True)):
+            raise ValueError(
+                "bcs has other boundary conditions than when the problem was made, and the problem "
+                "doesn't read them again: change the values of those that it has (a fem.Constant, "
+                "a fem.Function), or make a new problem."
+            )
+
     def multipliers(self, tie: Interface) -> npt.NDArray:
         """Multipliers of a tie after a solve. Collective.
 

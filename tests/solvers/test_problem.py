@@ -14,7 +14,14 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
-from hypergap_dolfinx import InterfaceError, Tie, TiedProblem
+from hypergap_dolfinx import (
+    Contact,
+    ContactProblem,
+    InterfaceError,
+    NonlinearTiedProblem,
+    Tie,
+    TiedProblem,
+)
 
 pytestmark = two_ranks()
 
@@ -209,6 +216,32 @@ def test_mistaken_forms():
         TiedProblem(L, L, bcs=bcs, ties=[tie])
     with pytest.raises(ValueError, match="u0 is not on the space of Γ0"):
         tie.gap(*(fem.Function(fem.functionspace(W.mesh, ("Lagrange", 2))) for W in V))
+
+
+@pytest.mark.parametrize("kind", (TiedProblem, NonlinearTiedProblem, ContactProblem))
+def test_a_changed_list_of_boundary_conditions(kind):
+    """It is read once: other conditions in it are told at the next solve, results remain."""
+    V, a, L, bcs, tie = two_blocks()
+    if kind is TiedProblem:
+        problem = kind(a, L, bcs=bcs, ties=[tie])
+    else:
+        u = [fem.Function(W) for W in V]
+        F = [ufl.action(form, f) for form, f in zip(a, u, strict=True)]
+        interfaces = {"contacts": [Contact(*zip(V, tie.facets, strict=True))]}
+        interfaces = {"ties": [tie]} if kind is NonlinearTiedProblem else interfaces
+        problem = kind(F, u, bcs=bcs, **interfaces)
+    problem.solve()
+    first = bcs[0]
+    bcs[0] = held(V[0], lambda x: np.isclose(x[1], -1))
+    with pytest.raises(ValueError, match="bcs has other boundary conditions than when"):
+        problem.solve()
+    if kind is not ContactProblem:
+        assert tie.force(problem).shape == (2,)
+    bcs[0] = first
+    problem.solve()
+    bcs.append(first)
+    with pytest.raises(ValueError, match="or make a new problem"):
+        problem.solve()
 
 
 def test_an_interface_tied_twice():
