@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from hypergap_dolfinx.core.collective import raise_on_all, values_at
+from hypergap_dolfinx.interface_laws.given_values import without_round_off
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface, lagrange_element
 
@@ -84,6 +85,7 @@ class Coefficient:
         else:
             assert self._at is not None
             found = self._at.at_vertices(values_at(self._value, self._at.dofs))[:, 0]
+            found = without_round_off(found)
         wrong = found[~(np.isfinite(found) & (found >= 0))]
         bad = None
         if len(wrong):

@@ -141,6 +141,7 @@ class Weighting:
                         "stiffness h take law=lambda jump, n: h * jump, in a NonlinearTiedProblem."
                     )
                 nodal[:] = np.real(given)
+                nodal = given_values.without_round_off(nodal)
             except Exception as e:
                 error = error or f"the {self.name} is no number on Γ1: {e}".splitlines()[0]
             wrong = ~(nodal >= 0) | np.isinf(nodal)

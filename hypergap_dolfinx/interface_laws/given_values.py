@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
+from hypergap_dolfinx.surface.tolerances import NOISE
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -128,6 +129,12 @@ def each(values: npt.ArrayLike, num: int) -> npt.NDArray:
     if values.shape not in ((), (1,), (num,)):
         raise ValueError(f"the callable gives {values.shape} values at {num} points.")
     return np.broadcast_to(values, num)
+
+
+def without_round_off(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Values of a function that is nowhere negative: where it vanishes it may be −1e-17."""
+    least = -NOISE * np.abs(values).max(initial=0)
+    return np.where((values < 0) & (values >= least), 0, values)
 
 
 def _no_number(value: Any) -> str | None:

@@ -722,6 +722,8 @@ def test_input():
     mu.interpolate(lambda x: 0.3 * x[0])
     contact = Contact(*sides, friction=mu)
     close(contact.friction.at_vertices(), 0.3 * contact.surfaces[1].x[:, 0])
+    mu.interpolate(lambda x: x[0] - 1e-16)  # round-off where it is 0
+    assert (contact.friction.at_vertices() >= 0).all()
     mu.x.array[:] = -1.0
     with raises(ValueError, "is -1 on Γ1"):
         contact.friction.at_vertices()
