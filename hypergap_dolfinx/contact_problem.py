@@ -39,7 +39,16 @@ from hypergap_dolfinx.surface.moving import Displacements, MovingSurface
 from hypergap_dolfinx.surface.tolerances import OWN_GAP
 from hypergap_dolfinx.surface.trace import gap_of_chords, is_mixed
 from hypergap_dolfinx.tie import Tie
-from hypergap_dolfinx.tolerances import ALIKE, FAR_PRESSURE, HALVINGS, LEANING, STIFF, TILT
+from hypergap_dolfinx.tolerances import (
+    ALIKE,
+    BEHIND_BODY,
+    FAR_PRESSURE,
+    HALVINGS,
+    LEANING,
+    OVERLAPPING,
+    STIFF,
+    TILT,
+)
 
 LOG = logging.getLogger("hypergap_dolfinx")
 
@@ -334,6 +343,8 @@ class ContactProblem(ContactSystem):
                 why = str(error) or "interrupted"
                 self._records.end(why, halvings=self._halvings, solved=False)
                 raise
+            finally:
+                self._warn_of_overlap()
             self._num_steps += 1
             self._solved = True
             self._records.end(self._summary(), halvings=self._halvings)
@@ -717,6 +728,18 @@ class ContactProblem(ContactSystem):
             for c, rows in enumerate(self._rows)
             if not self._contacts[c].geometry.follows
         ]
+
+    def _warn_of_overlap(self):
+        """Warn, once for each contact, of meshes that overlap by much of a body's thickness."""
+        for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
+            share = rows.overlap * BEHIND_BODY / contact.geometry.depth
+            if share > OVERLAPPING:
+                self._warn_once(
+                    ("start", c),
+                    f"contact {c}: the bodies overlap by {rows.overlap:.3g} before the first load "
+                    f"step, {share:.0%} of the thinner one's thickness; contact pushes that out, "
+                    "as a press-fit: if it isn't meant, check positions, units and u.",
+                )
 
     def _warn_of_reach(self, comm):
         """Warn of surfaces with nothing opposite."""

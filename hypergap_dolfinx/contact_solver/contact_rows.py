@@ -122,6 +122,8 @@ class ContactRows:
         self.start: Displacements | None = None
         """Displacements at the start of the load step; None before the first geometry."""
         self._checked = False  # that the bodies don't start behind each other
+        self.overlap = 0.0
+        """Largest overlap before the first load step."""
         self._diagonal = 0.0  # of p = 0, the same in all steps: factors are kept while K is
         surface = self.sides[1].reference
         self._n, num = surface.gdim, len(surface.x)
@@ -587,6 +589,7 @@ class ContactRows:
             return
         self._checked, opposite = True, self.m > 0
         height = self.g[opposite] / self.m[opposite]
+        self.overlap = float(-height.min(initial=0))
         if opposite.any() and (height < -self._contact.geometry.depth).all():
             raise InterfaceError(
                 f"Γ1 is {-height.max():.3g} and more behind Γ0: the bodies are on the wrong sides "

@@ -103,6 +103,22 @@ def test_wrong_sides(caplog):
 
 
 @pytest.mark.ranks(2)
+@pytest.mark.parametrize(("gap", "told"), ((-0.02, False), (-0.2, True)))
+def test_overlap_before_the_first_load_step(gap, told, caplog):
+    """Contact pushes it out; one that may be an error of positions or units is told, once."""
+    scene = two(gap=gap)
+    contact = Contact(*faces(scene))
+    problem = scene.problem([contact])
+    for down in (0.0, -0.01):
+        scene.down.value = down
+        problem.solve()
+    assert contact.force(problem)[1] > 0
+    said = "the bodies overlap by 0.2 before the first load step, 40% of the thinner one's"
+    assert caplog.text.count(said) == (told and comm.rank == 0)
+    assert told or not caplog.records
+
+
+@pytest.mark.ranks(2)
 def test_out_of_reach(caplog):
     """Apart for ever is told once; what comes into reach later is found."""
     scene = two(gap=0.1, across=4.0)
