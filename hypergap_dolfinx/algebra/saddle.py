@@ -257,6 +257,7 @@ def failure(
             "one that is, a constraint is given twice, or a form's quadrature degree is too low "
             "for its element"
         )
+        why += "" if errors else f"; or it isn't, and digits are lost, {LOSSES}"
     return f"the linear solve failed: {', '.join(parts)}{why}{advice}."
 
 

@@ -589,12 +589,12 @@ class ContactRows:
             return
         self._checked, opposite = True, self.m > 0
         height = self.g[opposite] / self.m[opposite]
-        self.overlap = float(-height.min(initial=0))
         if opposite.any() and (height < -self._contact.geometry.depth).all():
             raise InterfaceError(
                 f"Γ1 is {-height.max():.3g} and more behind Γ0: the bodies are on the wrong sides "
                 "of each other, or facets are on the far side of one; check positions and tags."
             )
+        self.overlap = float(-height.min(initial=0))
 
     def reaches(self, least: float) -> list[tuple[float, int]]:
         """Largest distance over which a pressure acts, and largest overlap; and Γ1's vertex there.
