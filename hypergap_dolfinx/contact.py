@@ -512,6 +512,7 @@ class Contact(Settable):
         """Energy dissipated by friction in the last :meth:`ContactProblem.solve`; 0 without it.
 
         With an elastic slip it lacks what vertices that leave contact had stored in that.
+        Slip is straight within a load step: one that turns a body by θ against the other has sin θ.
 
         Args:
             problem: A solved problem with this contact.
