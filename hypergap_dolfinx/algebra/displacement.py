@@ -79,14 +79,15 @@ class DisplacementField:
         diagonal.destroy()
         free = ~self.part.of_body(held)
         each = np.repeat(part, len(mine) // max(len(part), 1))[free]
-        sums = np.array([np.bincount(each, by, num_parts) for by in (mine[free], np.ones(len(each)))])
+        sums = np.zeros((2, num_parts))  # of no numbers at all bincount makes integers
+        for found, of in zip(sums, (mine[free], np.ones(len(each))), strict=True):
+            found += np.bincount(each, of, num_parts)
         comm = self.part.space.mesh.comm
         comm.Allreduce(MPI.IN_PLACE, sums)
         meant = sums[1] > 0
         if nodes is not None and num_parts > 1:
             start = self.part.space.dofmap.index_map.local_range[0]
-            found = look_up(comm, part[:, None], start, nodes)
-            meant &= np.isin(np.arange(num_parts), found)
+            meant &= np.isin(np.arange(num_parts), look_up(comm, part[:, None], start, nodes))
         return float((sums[0] / np.maximum(sums[1], 1))[meant].min(initial=np.inf))
 
     def of_slopes(self, K: PETSc.Mat, side: MovingSurface) -> npt.NDArray[np.float64]:
