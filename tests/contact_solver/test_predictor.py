@@ -14,9 +14,12 @@ import dolfinx
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx.fem import petsc
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
+from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
 from hypergap_dolfinx.contact_solver.predictor import Extrapolation
+from hypergap_dolfinx.surface.component import Component
 
 comm = MPI.COMM_WORLD
 
@@ -292,3 +295,28 @@ def test_parts_of_one_mesh(upper):
     np.testing.assert_allclose(slips[1], slips[0], atol=1e-8)
     np.testing.assert_allclose(pressures[1], pressures[0], atol=1e-6 * pressures[0].max())
     assert num[1] <= num[0] + 1
+
+
+@pytest.mark.ranks(2)
+def test_stiffness_of_parts():
+    """The softest part's mean diagonal, without prescribed rows; ranks may have no node of a body."""
+    (mesh,) = boxes(True)
+    for V in (
+        fem.functionspace(mesh, ("Lagrange", 1, (3,))),
+        fem.functionspace(meshes.block(comm, (1, 1))[0], ("Lagrange", 1, (2,))),  # on one rank
+    ):
+        field = DisplacementField(Component.of(V), V)
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        last = ufl.SpatialCoordinate(V.mesh)[V.mesh.geometry.dim - 1]
+        form = ufl.conditional(last < 1.02, 7.0, 2.0) * ufl.inner(u, v) * ufl.dx
+        K = petsc.assemble_matrix(fem.form(form))
+        K.assemble()
+        diagonal = K.getDiagonal().array.real.reshape(-1, V.mesh.geometry.dim)
+        height = V.tabulate_dof_coordinates()[: len(diagonal), V.mesh.geometry.dim - 1]
+        held = height > 1.8
+        soft = (height > 1.02) if V.mesh is mesh else np.ones(len(height), dtype=bool)
+        mine = diagonal[soft & ~held]
+        mean = comm.allreduce(mine.sum()) / comm.allreduce(mine.size)
+        found = field.stiffness(K, np.repeat(held, V.mesh.geometry.dim))
+        np.testing.assert_allclose(found, mean, 1e-12)
+        K.destroy()
