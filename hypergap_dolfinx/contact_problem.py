@@ -601,7 +601,9 @@ class ContactProblem(ContactSystem):
             if i is None or contact.geometry.finer * ALIKE < 1:
                 continue
             size = [
-                np.inf if b is None else self._fields[b].stiffness(self._K[b], self._held[b], side.dofs)
+                np.inf
+                if b is None
+                else self._fields[b].stiffness(self._K[b], self._held[b], side.dofs)
                 for b, side in zip((i, j), rows.sides, strict=True)
             ]
             if size[1] > STIFF * size[0] and comm.rank == 0:

@@ -144,11 +144,12 @@ def motions_of(
     now = rows.displacements([f.x.array for f in rows.fields])
     x0, x1 = (side.displaced(u).x for side, u in zip(rows.sides, rows.start, strict=True))
     found: list[RigidMotion | None] = []
-    for i, (body, side, x, u) in enumerate(zip(rows.bodies, rows.sides, (x0, x1), now, strict=True)):
+    each = zip(rows.bodies, rows.components, rows.sides, (x0, x1), now, strict=True)
+    for body, part, side, x, u in each:
         if body is None:
             found.append(leading(MPI.COMM_SELF, x, side.displaced(u).x - x))
         else:
-            found.append(motions[body].of_nodes(rows.components[i].space, side.dofs))
+            found.append(motions[body].of_nodes(part.space, side.dofs))
     motion0, motion1 = found
     if motion0 is None or motion1 is None:
         return found, np.inf

@@ -264,7 +264,8 @@ def test_parts_of_one_mesh(upper):
         V = [fem.functionspace(mesh, ("Lagrange", 1, (3,))) for mesh in parts]
         u, F = [fem.Function(W) for W in V], []
         for w in u:
-            v, z = ufl.TestFunction(w.function_space), ufl.SpatialCoordinate(w.function_space.mesh)[2]
+            v = ufl.TestFunction(w.function_space)
+            z = ufl.SpatialCoordinate(w.function_space.mesh)[2]
             eps = ufl.sym(ufl.grad(w))
             sigma = ufl.conditional(z < 1.02, 1.0, upper) * (eps + ufl.tr(eps) * ufl.Identity(3))
             F.append(ufl.inner(sigma, ufl.grad(v)) * ufl.dx)
@@ -299,7 +300,7 @@ def test_parts_of_one_mesh(upper):
 
 @pytest.mark.ranks(2)
 def test_stiffness_of_parts():
-    """The softest part's mean diagonal, without prescribed rows; ranks may have no node of a body."""
+    """Mean diagonal of the softest part, without prescribed rows; a rank may have no node of it."""
     (mesh,) = boxes(True)
     for V in (
         fem.functionspace(mesh, ("Lagrange", 1, (3,))),
