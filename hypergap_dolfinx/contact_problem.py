@@ -735,7 +735,7 @@ class ContactProblem(ContactSystem):
         """Warn, once for each contact, of meshes that overlap by much of a body's thickness."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
             share = rows.overlap * BEHIND_BODY / contact.geometry.depth
-            if share > OVERLAPPING:
+            if None not in rows.bodies and share > OVERLAPPING:  # obstacles have moved before
                 self._warn_once(
                     ("start", c),
                     f"contact {c}: the bodies overlap by {rows.overlap:.3g} before the first load "

@@ -31,7 +31,8 @@ with the extents, 2, it was pushed out."""
 OVERLAPPING = 0.2
 """Overlap before the first load step, in the same thicknesses, from which it is told.
 Measured: 237 tests of contact_solver: 8 overlap by .01 and more, six of them by .04 to .14, one by
-.6 (a thin slanted beam) and one by 2.4 (bodies on the wrong sides). Press-fits: .04 at most."""
+.6 (a thin slanted beam) and one by 2.4 (bodies on the wrong sides). Of 60 random scenes of the plane
+and 10 of space none does; press-fits by .04 at most."""
 
 CLOSED_NORMAL = 0.5
 """Length of the mean unit normal up to which a surface counts as closed.
