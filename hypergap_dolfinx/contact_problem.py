@@ -45,7 +45,6 @@ from hypergap_dolfinx.tolerances import (
     FAR_PRESSURE,
     HALVINGS,
     LEANING,
-    OVERLAPPING,
     STIFF,
     TILT,
 )
@@ -734,8 +733,9 @@ class ContactProblem(ContactSystem):
     def _warn_of_overlap(self):
         """Warn, once for each contact, of meshes that overlap by much of a body's thickness."""
         for c, (contact, rows) in enumerate(zip(self._contacts, self._rows, strict=True)):
-            share = rows.overlap * BEHIND_BODY / contact.geometry.depth
-            if None not in rows.bodies and share > OVERLAPPING:  # obstacles have moved before
+            depth = contact.geometry.depth
+            if None not in rows.bodies and rows.overlap > depth / 2:  # obstacles have moved before
+                share = rows.overlap * BEHIND_BODY / depth
                 self._warn_once(
                     ("start", c),
                     f"contact {c}: the bodies overlap by {rows.overlap:.3g} before the first load "
