@@ -175,7 +175,7 @@ class ContactSystem(NonlinearSystem):
         self._tied = bool(pieces.interfaces or couplings)
         self._iterations = self._num_free = 0
         self._before: tuple[list, list, list] | None = None  # values, residual and forces
-        self._kink: Kink | None = None  # at which displacements stay
+        self._kink = Kink(self._rows, self._move_to)
         self._stiffness_of, self._told_loose = list[int | None](), list[int]()
         self._finest = min(float(s.reference.size.min()) for rows in self._rows for s in rows.sides)
         depends = self._depends[: self._num_elastic]
@@ -433,12 +433,13 @@ class ContactSystem(NonlinearSystem):
         self._balance.start_step()
         self._num_rays, polished, self._before = 0, False, None
         self._holding: npt.NDArray[np.bool_] | None = None
-        self._kink = None
+        self._kink.leave()
         share, step = 1.0, 0
         while True:
             for rows in self._rows:
                 rows.update_geometry()
-            self._stay_at_kink()
+            if self._kink.is_held:
+                self._kink.stay([part.array_r.copy() for part in self._x.getNestSubVecs()])
             self._hooks("before_step")
             self._evaluate(self._x, self._b)
             if not self._is_finite():
@@ -448,7 +449,7 @@ class ContactSystem(NonlinearSystem):
                 self._go(*way, share)
                 continue
             if way is not None:
-                reaches = partial(self._reaches_kink, way, share, least)
+                reaches = partial(self._reaches_kink, way, share)
                 factor = continuation.factor(self._left_of_bodies, reaches)
                 if factor != 1:
                     share, self._reach = factor * share, factor * self._reach
@@ -460,7 +461,7 @@ class ContactSystem(NonlinearSystem):
             stiffness, zero = self._stiffness(), self._zero_pressure()
             for rows in self._rows:
                 rows.start_set(stiffness, zero)
-            is_balanced = self._balances() or (self._kink is None and self._balances_between())
+            is_balanced = self._balances() or (not self._kink.is_held and self._balances_between())
             self._record(step)
             self._interrupts.check()
             if is_balanced and (step or (self._is_exact and not self._hold_too_much())):
@@ -484,7 +485,7 @@ class ContactSystem(NonlinearSystem):
             way, work, is_stiffened = self._step(jump, stiffness)
             moves = [b - a for a, b in zip(way[0].values[: len(self._u)], way[1].values)]
             moves = self._of_displacements(moves)
-            forces = self._left_of_bodies if to_go <= least and not self._kink else None
+            forces = self._left_of_bodies if to_go <= least and not self._kink.is_held else None
             share = continuation.share(moves, work, forces, is_stiffened)
             if share != 1:
                 self._go(*way, share)
@@ -493,7 +494,6 @@ class ContactSystem(NonlinearSystem):
         self,
         way: tuple[SystemState, SystemState],
         share: float,
-        least: float,
         start: float,
         end: float,
     ) -> bool:
@@ -502,49 +502,26 @@ class ContactSystem(NonlinearSystem):
         Args:
             way: The states before and after the step.
             share: Share of the step at whose end they are reversed.
-            least: Displacement treated as zero.
             start: Forces along the step at its start.
             end: The same at that end.
         """
         if share <= 0:
             return False
-        before, after = way
-        changes = [share * (b - a) for a, b in zip(before.values, after.values, strict=True)]
-        kink = Kink(self._rows, changes, largest_change(self._comm, changes, self._fixed), least)
-        go_to = self._mover(before.values, changes)
-        if kink.find(go_to, start, end):
-            self._kink = kink
-        else:
-            go_to(1.0)
+        before, after = (state.values for state in way)
+        changes = [share * (b - a) for a, b in zip(before, after, strict=True)]
+        size = largest_change(self._comm, changes, self._fixed)
+        self._kink.find(before, changes, size, start, end)
         self._hooks("before_step")
         self._evaluate(self._x, self._b)
-        return self._kink is not None
+        return self._kink.is_held
 
-    def _mover(
-        self, values: Sequence[npt.NDArray], changes: Sequence[npt.NDArray]
-    ) -> Callable[[float], None]:
-        """Function that goes to a place on a way, and finds the gaps there.
-
-        Args:
-            values: This rank's unknowns where the way starts.
-            changes: Their changes along it.
-        """
-
-        def go_to(place: float):
-            for x, a, more in zip(self._x.getNestSubVecs(), values, changes, strict=True):
-                x.array[:] = a + place * more
-            self._assign(self._x)
-            for rows in self._rows:
-                rows.update_geometry()
-
-        return go_to
-
-    def _stay_at_kink(self):
-        """Take the forces on both sides of the kink that is held, unless it isn't near."""
-        if self._kink:
-            values = [part.array_r.copy() for part in self._x.getNestSubVecs()]
-            is_near = self._kink.is_near(self._mover(values, self._kink.way))
-            self._kink = self._kink if is_near else None
+    def _move_to(self, values: Sequence[npt.NDArray]):
+        """Move bodies to these unknowns of this rank, and find the gaps there. Collective."""
+        for x, part in zip(self._x.getNestSubVecs(), values, strict=True):
+            x.array[:] = part
+        self._assign(self._x)
+        for rows in self._rows:
+            rows.update_geometry()
 
     def _is_clear(self, ahead: Sequence[npt.NDArray], since: Sequence[Displacements]) -> bool:
         """True if nothing overlaps or has passed after these changes. Collective.
@@ -632,11 +609,7 @@ class ContactSystem(NonlinearSystem):
 
         balance = self._balance  # forces of soft bodies balance, too
         self._tangent.floor = 0.01 * self._rtol * balance.in_bodies + balance.round_off
-        if self._kink is None:
-            found = self._solution(solve)
-        else:
-            found, stays = self._kink.solved(lambda: self._with_moves(self._solution(solve)))
-            self._kink = self._kink if stays else None
+        found = self._kink.solved(lambda: self._solution(solve), self._moves_of)
         if not found.is_solved and self._leaves_what_touches(start, stiffness):
             again = self._solution(solve)
             found = again if again.is_solved else found
@@ -692,10 +665,10 @@ class ContactSystem(NonlinearSystem):
             found = again if again.is_solved else found
         return found
 
-    def _with_moves(self, found: Solution) -> tuple[Solution, list[Displacements]]:
-        """A solution with its displacements of each contact's sides. Collective."""
+    def _moves_of(self, found: Solution) -> list[Displacements]:
+        """Displacements of each contact's sides by a solution. Collective."""
         sides = [rows.from_bodies(found.changes) for rows in self._rows]
-        return found, [(-u0, -u1) for u0, u1 in sides]
+        return [(-u0, -u1) for u0, u1 in sides]
 
     def _leaves_what_touches(self, start: SystemState, stiffness: float) -> bool:
         """Go back to the last sets: what touches can say the same twice. False if they are these.

@@ -156,31 +156,48 @@ class Continuation:
 
 
 class Kink:
-    """A kink of gaps that is held. All is collective, values are the same on every rank."""
+    """A kink of gaps at which displacements stay. All is collective, values are on every rank."""
 
     def __init__(
-        self, rows: Sequence[ContactRows], way: Sequence[Array], size: float, closed: float
+        self,
+        rows: Sequence[ContactRows],
+        move: Callable[[Sequence[Array]], None],
     ):
-        """Look for one on a way.
+        """Start without one.
 
         Args:
             rows: The contacts.
-            way: This rank's changes of the unknowns.
-            size: The largest one.
-            closed: Displacement treated as zero.
+            move: Moves bodies to these unknowns of this rank, and finds the gaps there.
         """
-        self._rows, self.way = rows, way
-        self._closed, self._least = closed, closed / size
-        self._share = 0.0
+        self._rows, self._move = rows, move
+        self.is_held = False
+        """True if displacements stay at one."""
 
-    def find(self, go_to: GoTo, start: float, end: float) -> bool:
-        """Go to the kink that reverses the forces on the way; false if there is none.
+    def leave(self):
+        """Leave it."""
+        self.is_held = False
+
+    def find(
+        self,
+        values: Sequence[Array],
+        way: Sequence[Array],
+        size: float,
+        start: float,
+        end: float,
+    ):
+        """Go to the kink that reverses the forces on a way, and hold it; to its end without one.
 
         Args:
-            go_to: For places from 0 to 1.
+            values: This rank's unknowns where the way starts.
+            way: Their changes along it.
+            size: The largest change of a displacement.
             start: Residual along the way at its start, negative.
             end: The same at its end, positive.
         """
+        self._closed = min(rows.closed for rows in self._rows)
+        self._least = self._closed / size
+        self._way, self._share = way, 0.0
+        go_to = self._mover(values)
         go_to(0.0)
         first, since = self._forces, self._moves
         go_to(1.0)
@@ -191,60 +208,71 @@ class Kink:
             go_to(place)
             along = start + place * of_bodies - float((self._forces - first) @ d)
             low, high = ((place, along), high) if along < 0 else (low, (place, along))
-        if not high[1] - low[1] > -OSCILLATES * (end - start):
-            return False
+        self.is_held = high[1] - low[1] > -OSCILLATES * (end - start)
+        if not self.is_held:
+            go_to(1.0)
+            return
         self._share = low[1] / (low[1] - high[1])
         self._hold(go_to, low[0], high[0])
         self._slope = float(self._jump @ d)
         self._start()
-        return True
 
-    def is_near(self, go_to: GoTo) -> bool:
-        """Find the forces on both sides after a step; false if the kink isn't near.
+    def stay(self, values: Sequence[Array]):
+        """Take the forces on both sides after a step, or leave the kink if it isn't near.
 
         Args:
-            go_to: For places along its way, 0 where the step ended.
+            values: This rank's unknowns.
         """
         change = self._moves - self._at
         if np.abs(change).max() > self._closed:
+            go_to = self._mover(values)
             ends = self._around(go_to, -float(self._jump @ change) / self._slope)
             if ends is not None:
                 self._hold(go_to, *ends)
             go_to(0.0)
             if ends is None:
-                return False
+                self.leave()
+                return
         self._start()
-        return True
 
-    def solved(self, solve: Callable[[], tuple[T, list[Displacements]]]) -> tuple[T, bool]:
-        """Solution of the linearised problem that ends at the kink, and whether there is one.
+    def solved(self, solve: Callable[[], T], moves: Callable[[T], list[Displacements]]) -> T:
+        """Solution of the linearised problem that ends at the kink, if one is held.
 
-        Else the one with the forces of the side to which it leads.
+        Without one there, it has the forces of the side to which it leads, and the kink is left.
 
         Args:
-            solve: Solves it with the present forces; gives the solution, and its displacements of
-                each contact's sides.
+            solve: Solves it with the present forces.
+            moves: Gives a solution's displacements of each contact's sides.
         """
+        if not self.is_held:
+            return solve()
         start, share, side = self._moves - self._at, self._share, -1
         ends: list[tuple[float, float]] = [(0.0, np.nan), (1.0, np.nan)]
         for _ in range(2 * TRIALS):
+            self._share = share
             self._mix(share)
-            found, moves = solve()
-            d = np.concatenate([u.ravel() for part in moves for u in part])
+            found = solve()
+            d = np.concatenate([u.ravel() for part in moves(found) for u in part])
             place = float(self._jump @ (start + d)) / self._slope
             if abs(place) <= self._least:
                 break
             last, side = side, int(place < 0)
             if share == 1 - side:
-                return found, False
+                self.leave()
+                break
             ends[side] = share, place
             if side == last:  # the other end stays: regula falsi of the kind Illinois
                 ends[1 - side] = ends[1 - side][0], ends[1 - side][1] / 2
             (a, before), (b, behind) = ends
             known = np.isfinite(before - behind)
             share = (a * behind - b * before) / (behind - before) if known else 1.0 - side
-        self._share = share
-        return found, True
+        return found
+
+    def _mover(self, values: Sequence[Array]) -> GoTo:
+        """Function that goes to a place on the way, from these unknowns of this rank."""
+        return lambda place: self._move(
+            [a + place * more for a, more in zip(values, self._way, strict=True)]
+        )
 
     def _around(self, go_to: GoTo, place: float) -> tuple[float, float] | None:
         """Places on both sides of the kink, near to a place; None if it isn't there."""

@@ -35,7 +35,7 @@ def test_corner_held_by_a_node():
         scene.goal.value[1] = -down * demo["H"]
         force = scene.solve()
         assert problem.halvings == 0
-    assert problem._kink is not None
+    assert problem._kink.is_held
     rows = problem.rows(scene.contact)
     assert (rows.state.p >= 0).all()
     assert (np.abs(rows.state.q) <= 0.3 * rows.pressed + 1e-12).all()
