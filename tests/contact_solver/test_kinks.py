@@ -4,6 +4,7 @@
 
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem, la
+from hypergap_dolfinx.contact_solver.continuation import Kink
 
 comm = MPI.COMM_WORLD
 
@@ -48,3 +50,16 @@ def test_corner_held_by_a_node():
         mine = (side.dofs >= start) & (side.dofs < end)
         left = b.array.reshape(-1, 2)[side.dofs[mine] - start] - of_contact[mine]
         assert np.abs(left).max(initial=0) <= 1e-11 * np.linalg.norm(force)
+
+
+def test_forces_at_a_kink_are_of_a_solution():
+    """Where no share of both sides' forces leads to the kink, the last one that was solved with."""
+    kink, shares = Kink([SimpleNamespace(u=[np.zeros(1)])], lambda values: None), []
+    kink.is_held, kink._share, kink._slope, kink._least = True, 0.5, 1.0, 0.0
+    kink._at, kink._jump, kink._mix = np.zeros(1), np.ones(1), shares.append
+    place = kink.solved(
+        lambda: 1.0 if shares[-1] < 0.3 else -1.0,  # solutions jump over it
+        lambda place: [(np.array([place]),)],
+    )
+    assert kink.is_held and kink._share == shares[-1] and len(shares) > 2
+    assert abs(place) == 1
