@@ -89,6 +89,8 @@ class Linear:
     """``(num_multipliers,)``."""
     start: npt.NDArray[np.float64]
     """Unknowns that stand for the present multipliers."""
+    springs: Sparse
+    """Rows whose squares are the stiffness of tractions that aren't constraints, nearly."""
 
 
 _ROWS: "WeakKeyDictionary[ContactInterface, dict[int, ref[ContactRows]]]" = WeakKeyDictionary()
@@ -840,7 +842,17 @@ class ContactRows:
             joined(*found),
             np.where(on, self._root * right.ravel(), 0),
             f.ravel() / self._root * on,
+            self._springs(by_y, by_f),
         )
+
+    def _springs(self, by_y, by_f) -> Sparse:
+        """Slips against which tractions grow, times the root of that stiffness.
+
+        Args:
+            by_y: As of :meth:`law`, to first order.
+            by_f: Likewise.
+        """
+        return Sparse.empty()
 
     def _stress_stiffness(self) -> Sparse:
         """Derivative of the forces at fixed multipliers, by the unknowns of the equations."""
@@ -877,7 +889,7 @@ class ContactRows:
         """Equations of multipliers that are all zero."""
         none = np.zeros(len(self._order))
         every = len(self._is_free) + np.arange(len(none))
-        return Linear(Sparse(every, every, none + self._diagonal), none, none)
+        return Linear(Sparse(every, every, none + self._diagonal), none, none, Sparse.empty())
 
     def moved(self, modes: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
         """Motions at both sides' dofs, ``(num, num_dofs)``. Collective.

@@ -17,7 +17,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
     joined,
 )
 from hypergap_dolfinx.contact_solver.predictor import RigidMotion
-from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS
+from hypergap_dolfinx.contact_solver.tolerances import EXACT, EXCEEDS, HOLDS
 from hypergap_dolfinx.surface.moving import Displacements, Sparse
 from hypergap_dolfinx.surface.trace import lengths
 
@@ -352,6 +352,17 @@ class FrictionRows(ContactRows):
         i, j = len(self.g) * rows + bears.i, np.concatenate([bears.j] * len(rows))
         return Sparse(i.ravel(), j, values.ravel())
 
+    def _springs(self, by_y, by_f):
+        """The same, in series with springs as stiff as nodes: multigrid follows no stiffer ones."""
+        slips = np.flatnonzero(self.rubs & (np.einsum("kka->a", by_f[1:, 1:]) > HOLDS))
+        by_f, by_y = (of[1:, 1 : self._n, slips].transpose(2, 0, 1) for of in (by_f, by_y))
+        values, vectors = np.linalg.eigh(np.linalg.solve(by_f + by_y, by_y))
+        roots = np.sqrt(np.maximum(values, 0))[:, None] * vectors  # (slip, tangent, spring)
+        a, k, row = np.nonzero(roots)
+        num = len(self.g)
+        shares = Sparse(num * row + slips[a], num * (1 + k) + slips[a], roots[a, k, row])
+        return shares @ self._watched(self._acting)
+
     def _states(self, y, f, at):
         """What is closed, has pressure, sticks, directions of slip; arguments as :meth:`law`."""
         root = self._root
@@ -413,7 +424,7 @@ class FrictionRows(ContactRows):
         across = one - way[:, None] * way
         if self._soft:
             reach, soft = root * self._elastic[:, at] + y[1:-1], root * self._soft
-            size = np.maximum(lengths(reach.T), soft)
+            size = np.where(sticks, soft, np.maximum(lengths(reach.T), soft))
             error[1:] = f[1:] + bound * reach / size
             by_y[1:, 1:-1] = bound / size * np.where(sticks, one, across)
             by_f[1:, 1:] = one
@@ -458,8 +469,9 @@ class FrictionRows(ContactRows):
 
         They stick next. If they slipped the other way, they could turn back again, and so on.
         """
-        now, along = self.state, (y.reshape(-1, len(self.g))[1:-1] * self.state.way).sum(axis=0) > 0
-        return along & self.rubs & ~now.sticks & (self._soft == 0)
+        now, slip = self.state, y.reshape(-1, len(self.g))[1:-1]
+        along = ((self._root * self._elastic + slip) * now.way).sum(axis=0) > 0
+        return along & self.rubs & ~now.sticks
 
     @property
     def _values(self) -> npt.NDArray[np.float64]:

@@ -9,7 +9,8 @@ symmetric, and conjugate gradients solve the system. With friction GMRES does, w
 preconditioner.
 
 Aggregates are those of the bodies (:mod:`~hypergap_dolfinx.algebra.hierarchy`) and are made once.
-The preconditioner has springs in the place of the rows, new ones for each working set.
+The preconditioner has springs in the place of the rows, new ones for each working set. Slipping
+tractions turn, which may be all that holds a body: it has springs for them, too.
 """
 
 from collections.abc import Sequence
@@ -77,14 +78,16 @@ class _Equations:
     """Equations of these by dofs."""
     by_held: Sparse
     """Equations of these by the multipliers of constraints."""
-    inverse: Sparse
-    """Inverse of their derivatives by themselves."""
+    inverse: Array
+    """Inverse derivatives by themselves, zero for constraints, ``(num,)``."""
     moved: Array
-    """Addition to their right-hand side where that isn't quite the inverse, ``(num,)``."""
+    """Addition to the right-hand side of constraints that nearly stick, ``(num,)``."""
+    directions: Sparse
+    """Directions of the multipliers, as columns."""
 
     def eliminated(self) -> tuple[Sparse, Sparse]:
         """F and the addition to the stiffness, once the other multipliers are eliminated."""
-        forces = self.inverse.T @ self.forces  # V^T F_Q
+        forces = self.forces.scaled(self.inverse)  # V^T F_Q
         by_dofs, by_held = forces.T @ self.slopes, self.by_held.T @ forces
         return joined(self.F, _negative(by_held)), joined(self.more, _negative(by_dofs))
 
@@ -93,46 +96,40 @@ def _negative(matrix: Sparse) -> Sparse:
     return Sparse(matrix.i, matrix.j, -matrix.values)
 
 
+def _times(matrix: Sparse, x: Array) -> Array:
+    """A square matrix times values."""
+    return np.bincount(matrix.i, matrix.values * x[matrix.j], len(x))
+
+
 def _column(values: Array) -> Sparse:
     """Values as a matrix of one column."""
     at = np.flatnonzero(values)
     return Sparse(at, np.zeros_like(at), values[at])
 
 
-def _inverse(E: Sparse, start: Array, num: int, across: int, stiffness: float):
-    """Inverse derivatives of slipping tractions' equations, and the change of the right-hand side.
+def _directions(own: Sparse, num: int, size: int, stiffness: float) -> Sparse:
+    """Principal directions of the multipliers' own derivatives, as columns.
 
-    Where a traction grows nearly as it would if it stuck, the derivative is nearly singular. It is
-    replaced by a larger one there, which changes the right-hand side.
+    A traction that slips may stick across its direction: that is a constraint.
 
     Args:
-        E: Derivatives, between the tractions of one multiplier each.
-        start: The present tractions, ``(across * num,)``.
+        own: Derivatives of equations of multipliers by multipliers.
         num: Number of multipliers.
-        across: Number of each one's tractions.
+        size: Number of unknowns of each.
         stiffness: Stiffness of the bodies' nodes.
     """
-    blocks = np.zeros((num, across, across))
-    (i, a), (j, b) = np.divmod(E.i, num), np.divmod(E.j, num)
-    assert (a == b).all()
-    np.add.at(blocks, (a, i, j), E.values)
-    at = np.flatnonzero(np.abs(blocks).sum(axis=(1, 2)) > 0)
-    values, vectors = np.linalg.eigh(blocks[at])
-    some = np.abs(values) > 0  # of a traction that is held there is nothing
-    least = NEARLY_STICKS * stiffness
-    values = np.where(some, np.where(values > 0, 1, -1) * np.maximum(np.abs(values), least), 1)
-    new = np.einsum("aik,ak,ajk->aij", vectors, np.where(some, values, 0), vectors)
-    inverse = np.einsum("aik,ak,ajk->aij", vectors, np.where(some, 1 / values, 0), vectors)
-    moved = np.zeros((across, num))
-    moved[:, at] = np.einsum("aij,ja->ia", new - blocks[at], start.reshape(across, num)[:, at])
-    i, j = (
-        np.broadcast_to(part, inverse.shape).ravel()
-        for part in (
-            np.arange(across)[:, None] * num + at[:, None, None],
-            np.arange(across) * num + at[:, None, None],
-        )
-    )
-    return Sparse(i, j, inverse.ravel()), moved.ravel()
+    blocks, every = np.zeros((num, size, size)), np.arange(size)
+    (i, a), (j, b) = np.divmod(own.i, num), np.divmod(own.j, num)
+    is_held = np.ones((size, num), dtype=bool)
+    at = own.i == own.j
+    is_held[i[at], a[at]] = np.abs(own.values[at]) <= HOLDS * stiffness
+    at = (a == b) & ~is_held[i, a] & ~is_held[j, b]
+    blocks[a[at], i[at], j[at]] = own.values[at]
+    # What is held already is a direction of its own
+    blocks[:, every, every] += 10 * (np.abs(blocks).max() + stiffness) * is_held.T
+    _, vectors = np.linalg.eigh(blocks)
+    a, i, j = np.nonzero(vectors)
+    return Sparse(i * num + a, j * num + a, vectors[a, i, j])
 
 
 class MultigridTangent:
@@ -167,7 +164,7 @@ class MultigridTangent:
         # As many iterations as with the ties' three sweeps, each of 3/4 of the seconds
         defaults = {**Multigrid.OPTIONS, "ksp_max_it": 200, "mg_levels_ksp_max_it": 2}
         if not symmetric:
-            defaults |= {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 60}
+            defaults |= {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 200}
         self._prefix = prefix
         self._made: Projection | None = None
         self._options = Options(prefix, options or {}, defaults, "")
@@ -200,7 +197,7 @@ class MultigridTangent:
         self.floor = 0.0
         """Force that is a residual of zero."""
         self._equations: list[Linear] | None = None
-        self._near, self._states = 0.0, list[int]()
+        self._near, self._given = 0.0, (0.0, 0.0, list[int]())
         self._constraints: Constraints | None = None
         self._more: PETSc.Mat | None = None
         self._last: tuple[Array, Array, float] | None = None
@@ -287,7 +284,7 @@ class MultigridTangent:
         """
         try:
             with self._options.in_use():
-                self._update(equations, shift)
+                self._update(equations, shift, NEARLY_STICKS[anew and not self._symmetric])
         except SolveError as error:  # aggregates and springs need a positive diagonal
             raise IterationFailed(f"{error}".removesuffix(".")) from error
         own = [part.right[rows.mine] for part, rows in zip(equations, self._rows, strict=True)]
@@ -340,8 +337,9 @@ class MultigridTangent:
         loads, tied, rest = np.split(flat, (self._num_dofs, self._starts[0]))
         parts = np.split(rest, self._starts[1:] - self._starts[0])
         c = np.concatenate([rows.gathered(b) for rows, b in zip(self._rows, parts, strict=True)])
+        c = _times(now.directions.T, c)
         c = c if alone else c + now.moved
-        slipping = now.forces.T @ (now.inverse @ _column(c))
+        slipping = now.forces.T @ _column(now.inverse * c)
         loads = loads - self._of_rank(slipping)
         of, ksp, u = self._projection, self._ksp, self._projection.b.duplicate()
         u.set(0.0)
@@ -369,6 +367,9 @@ class MultigridTangent:
                     raise IterationFailed(message)
                 self.has_converged |= accurate
                 of.load(loads, u, of.r)
+                if accurate and not alone and of.refine(ksp, u, size, self._reduction):
+                    self.iterations += of.iterations
+                    of.load(loads, u, of.r)
         x, y = u.array_r.real.copy(), of.multipliers.real.copy()
         u.destroy()
         if not self._comm.allreduce(bool(np.isfinite(x).all()), MPI.LAND):
@@ -385,8 +386,8 @@ class MultigridTangent:
         both = np.stack((f, moves))
         self._comm.Allreduce(MPI.IN_PLACE, both)
         f, moves = both
-        other = c - moves - np.bincount(now.by_held.i, now.by_held.values * f[now.by_held.j], num)
-        f += np.bincount(now.inverse.i, now.inverse.values * other[now.inverse.j], num)
+        other = c - moves - _times(now.by_held, f)
+        f = _times(now.directions, f + now.inverse * other)
         return [f[a + rows.mine] for a, rows in zip(self._first, self._rows)]
 
     def _of_rank(self, column: Sparse) -> Array:
@@ -396,15 +397,22 @@ class MultigridTangent:
 
     # Equations
 
-    def _update(self, equations: Sequence[Linear], shift: tuple[float, float]):
-        """Take the present stiffness, and equations."""
+    def _update(self, equations: Sequence[Linear], shift: tuple[float, float], sticks: float):
+        """Take the present stiffness, and equations; as the arguments of :meth:`solve`.
+
+        Args:
+            equations: The equations.
+            shift: The shares.
+            sticks: Derivative of a traction by itself that is zero.
+        """
         self._projection.factor = 1 + shift[0]
         near = shift[1]
         states = [K.stateGet() for K in self._system.K]
-        same = self._equations is not None and near == self._near and states == self._states
+        given = near, sticks, states
+        same = self._equations is not None and given == self._given
         if same and all(map(_is_same, equations, self._equations or ())):
             return
-        self._now = now = self._sorted(equations)
+        self._now = now = self._sorted(equations, sticks)
         F, more = now.eliminated()
         self._forget()
         started = np.cumsum([0, *(rows.num_unknowns for rows in self._rows)])
@@ -412,16 +420,26 @@ class MultigridTangent:
         self._own = np.concatenate(own)
         self._constraints = self._joined(own, now.G, None if self._symmetric else F)
         self._more = self._matrix(more, near)
-        self._projection.update(self._ksp, self._constraints, self._more)
-        self._equations, self._near, self._states = list(equations), near, states
+        springs = self._springs(equations)
+        self._projection.update(self._ksp, self._constraints, self._more, springs)
+        self._equations, self._near, self._given = list(equations), near, given
 
-    def _sorted(self, equations: Sequence[Linear]) -> _Equations:
+    def _sorted(self, equations: Sequence[Linear], sticks: float) -> _Equations:
         """The equations of all contacts in global numbers."""
         num, k = self._first[-1], self._stiffness
-        parts = [[Sparse.empty()] for _ in range(4)]
-        held, moved, inverses = np.zeros(num, dtype=bool), np.zeros(num), [Sparse.empty()]
+        parts, turns = [[Sparse.empty()] for _ in range(4)], [Sparse.empty()]
+        present = np.concatenate([linear.start for linear in equations])
         for start, linear, dofs, rows in zip(self._first, equations, self._dofs, self._rows):
             matrix, size = linear.matrix.summed, len(dofs)
+            own = matrix.some((matrix.i >= size) & (matrix.j >= size))
+            own = Sparse(own.i - size, own.j - size, own.values)
+            turn = _directions(own, len(rows.g), rows.num_unknowns // len(rows.g), k)
+            turns.append(Sparse(start + turn.i, start + turn.j, turn.values))
+            dof = np.arange(size)
+            turn = joined(
+                Sparse(dof, dof, np.ones(size)), Sparse(size + turn.i, size + turn.j, turn.values)
+            )
+            matrix = turn.T @ (matrix @ turn)
             is_dof = matrix.i < size, matrix.j < size
             i, j = (
                 np.where(of, np.append(dofs, -1)[np.where(of, at, -1)], start + at - size)
@@ -431,18 +449,10 @@ class MultigridTangent:
             for part, (a, b) in zip(parts, ((0, 1), (1, 0), (0, 0), (1, 1)), strict=True):
                 part.append(every.some((is_dof[0] == (not a)) & (is_dof[1] == (not b))))
         forces, slopes, more, own = (joined(*part) for part in parts)
-        forces = forces.T
-        diagonal = own.some(own.i == own.j)
-        sizes = np.bincount(diagonal.i, np.abs(diagonal.values), num)
-        held = sizes <= HOLDS * k
-        among = own.some(~held[own.i] & ~held[own.j])
-        for start, linear, rows in zip(self._first, equations, self._rows):
-            num_of, across = len(rows.g), rows.num_unknowns // len(rows.g)
-            at = among.some((start <= among.i) & (among.i < start + rows.num_unknowns))
-            at = Sparse(at.i - start, at.j - start, at.values)
-            inverse, more_of = _inverse(at, linear.start, num_of, across, k)
-            inverses.append(Sparse(inverse.i + start, inverse.j + start, inverse.values))
-            moved[start : start + rows.num_unknowns] = more_of
+        forces, directions = forces.T, joined(*turns)
+        at = own.i == own.j
+        diagonal = np.bincount(own.i[at], own.values[at], num)
+        held = np.abs(diagonal) <= sticks * k
         return _Equations(
             held,
             slopes.some(held[slopes.i]),
@@ -451,8 +461,9 @@ class MultigridTangent:
             forces.some(~held[forces.i]),
             slopes.some(~held[slopes.i]),
             own.some(~held[own.i] & held[own.j]),
-            joined(*inverses),
-            moved,
+            np.where(held, 0, 1 / np.where(held, 1, diagonal)),
+            np.where(held, -diagonal * _times(directions.T, present), 0),
+            directions,
         )
 
     def _joined(self, own: Sequence[npt.NDArray], G: Sparse, F: Sparse | None):
@@ -483,6 +494,21 @@ class MultigridTangent:
             sides.append((mine, np.setdiff1d(others, mine), slice(start, start + len(part))))
             start += len(part)
         return Constraints(found[0], sides, found[1] if F is not None else None)
+
+    def _springs(self, equations: Sequence[Linear]) -> PETSc.Mat | None:
+        """Springs of tractions that aren't constraints, for the preconditioner."""
+        num_rows, found = 0, []
+        for linear, dofs in zip(equations, self._dofs, strict=True):
+            rows = linear.springs
+            found.append(Sparse(num_rows + rows.i, dofs[rows.j], rows.values))
+            num_rows += int(rows.i.max(initial=-1)) + 1
+        if not num_rows:
+            return None
+        size = num_rows // self._comm.size + (self._comm.rank < num_rows % self._comm.size)
+        first, every = self._comm.scan(size) - size, joined(*found)
+        use = (first <= every.i) & (every.i < first + size)
+        entries = every.i[use], every.j[use], every.values[use]
+        return coo_matrix(self._system.K[0].comm, (size, self._num_dofs), *entries)
 
     def _local(self, dofs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """This rank's dofs among global ones, in its numbers."""

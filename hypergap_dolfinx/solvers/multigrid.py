@@ -14,7 +14,7 @@ from hypergap_dolfinx.core.sparse import nonzero_columns
 from hypergap_dolfinx.solvers.bodywise import LU
 from hypergap_dolfinx.solvers.projection import Constraints, Projection
 from hypergap_dolfinx.solvers.solver import IterativeSolver, Substitute, System, prefixed
-from hypergap_dolfinx.solvers.tolerances import ROUND_OFF_PROJECTED, SMALL_FORCES
+from hypergap_dolfinx.solvers.tolerances import ROUND_OFF_PROJECTED
 
 
 def joined_ties(system: System) -> Constraints | None:
@@ -117,37 +117,14 @@ class ProjectedSystem(Substitute):
         ksp.setTolerances(*tolerances)
         self.iterations = of.iterations
         of.load(loads, u, of.r)
-        if ksp.getConvergedReason() > 0 and self._refine(ksp, u, size):
+        if ksp.getConvergedReason() > 0 and of.refine(ksp, u, size, ksp.rtol):
+            self.iterations += of.iterations
             of.load(loads, u, of.r)
         found = np.concatenate((u.array_r, of.multipliers))
         ends = np.cumsum([part.getLocalSize() for part in parts])
         for part, values in zip(parts, np.split(found, ends[:-1]), strict=True):
             part.array[:] = values
         u.destroy()
-
-    def _refine(self, ksp: PETSc.KSP, u: PETSc.Vec, size: float) -> bool:
-        """Solve for the residual r of loads of a size if the ties' forces are small. Collective."""
-        of = self._projection
-        if self._constraints is None:
-            return False
-        forces, left = of.constraint_forces, of.b.duplicate()
-        left.pointwiseMult(of.diagonal, u)
-        goal = max(ksp.rtol * forces, ROUND_OFF_PROJECTED * left.norm())
-        left.destroy()
-        if forces > SMALL_FORCES * size or of.r.norm() <= goal:
-            return False
-        of.r.copy(of.b)
-        tolerances, reason = ksp.getTolerances(), ksp.getConvergedReason()
-        ksp.setTolerances(rtol=0.0, atol=goal)
-        before = u.copy()
-        of.add_solution(ksp, u)
-        self.iterations += of.iterations
-        ksp.setTolerances(*tolerances)
-        if ksp.getConvergedReason() < 0:  # at round-off; what was found before is as asked for
-            before.copy(u)
-            ksp.setConvergedReason(reason)
-        before.destroy()
-        return True
 
 
 class Multigrid(IterativeSolver):

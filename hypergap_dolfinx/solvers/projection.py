@@ -25,12 +25,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.algebra.hierarchy import Hierarchy, block_diagonal
+from hypergap_dolfinx.algebra.hierarchy import Hierarchy, block_diagonal, nest
 from hypergap_dolfinx.algebra.rigid_motions import motions, orthonormal
 from hypergap_dolfinx.algebra.saddle import failure
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.bodywise import create_solver
-from hypergap_dolfinx.solvers.tolerances import CONTRAST
+from hypergap_dolfinx.solvers.tolerances import CONTRAST, ROUND_OFF_PROJECTED, SMALL_FORCES
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,11 @@ class Projection:
         self._constraints, self._of_constraints = None, []
 
     def update(
-        self, ksp: PETSc.KSP, constraints: Constraints | None, more: PETSc.Mat | None = None
+        self,
+        ksp: PETSc.KSP,
+        constraints: Constraints | None,
+        more: PETSc.Mat | None = None,
+        beside: PETSc.Mat | None = None,
     ):
         """Take the present stiffness, and constraints, for a KSP.
 
@@ -116,11 +120,18 @@ class Projection:
             ksp: The KSP.
             constraints: The constraints, which stay the caller's, or None.
             more: What is added to the stiffness, but not to the preconditioner.
+            beside: Springs √W B of the preconditioner that aren't constraints, or None.
         """
         self._forget()
         self._more = more
         self._make_levels(ksp)
         springs = self._constrain(constraints) if constraints is not None else None
+        if beside is not None and springs is not None:
+            both = nest([[springs], [beside]], springs.comm)
+            whole = both.convert("aij", PETSc.Mat())
+            for obj in (both, springs, beside):
+                obj.destroy()
+            springs = whole
         assert self._hierarchy is not None
         self._hierarchy.attach(ksp, self.matrix, springs)
         if springs is not None:
@@ -255,6 +266,40 @@ class Projection:
         self._project(self._u)
         u.axpy(1.0, self._u)
         self.iterations = ksp.getIterationNumber()
+
+    def refine(self, ksp: PETSc.KSP, u: PETSc.Vec, size: float, rtol: float) -> bool:
+        """Solve for the residual r if the constraints' forces are small beside the loads.
+
+        Prescribed displacements of stiff bodies are such loads.
+
+        Args:
+            ksp: The KSP.
+            u: The displacements, which it changes.
+            size: Size of the loads.
+            rtol: Residual over the constraints' forces.
+
+        Returns:
+            Whether it solved again.
+        """
+        if self._constraints is None:
+            return False
+        forces, left = self.constraint_forces, self.b.duplicate()
+        left.pointwiseMult(self.diagonal, u)
+        goal = max(rtol * forces, ROUND_OFF_PROJECTED * left.norm())
+        left.destroy()
+        if forces > SMALL_FORCES * size or self.r.norm() <= goal:
+            return False
+        self.r.copy(self.b)
+        tolerances, reason = ksp.getTolerances(), ksp.getConvergedReason()
+        ksp.setTolerances(rtol=0.0, atol=goal)
+        before = u.copy()
+        self.add_solution(ksp, u)
+        ksp.setTolerances(*tolerances)
+        if ksp.getConvergedReason() < 0:  # at round-off; what was found before is as asked for
+            before.copy(u)
+            ksp.setConvergedReason(reason)
+        before.destroy()
+        return True
 
     @property
     def multipliers(self) -> npt.NDArray:

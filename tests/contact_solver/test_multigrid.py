@@ -252,6 +252,23 @@ def test_linear_problems_with_friction_take_one_step(solver, soft):
     assert scene.contact.slipping.any()
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+def test_prescribed_displacements_take_one_step(degree):
+    """Also where prescribed displacements are far larger loads than contact's forces."""
+    scene = Pressed(3, 1e-3, degree=degree, sliding="small", solver="iterative")
+    assert scene.solve(DOWN) == [1, 1]
+
+
+ELASTIC = (0, 0, -0.06), (0.02, 0.01, -0.06)
+
+
+def test_guesses_with_elastic_slip():
+    """They end: what slips along its traction, beyond the elastic slip, sticks next."""
+    scene = Pressed(4, friction=0.1, elastic_slip=1e-3, solver="iterative")
+    scene.solve(ELASTIC)
+    assert scene.problem.solver_name == "iterative"
+
+
 def test_many_laws_in_several_steps(monkeypatch):
     """Many laws are linearised in their states, with the same result."""
     scenes = []
