@@ -12,15 +12,21 @@ Aggregates that reach across an interface would have one set of rigid motions fo
 that on coarse levels bodies could not slide. Prolongators know nothing of B: they serve all sets of
 constraints, and :math:`P^T K P` is computed only if K changes. At first it is that of GAMG itself.
 
+On the finest level smoothing holds the constraints instead: with a projection Π on displacements
+that do, sweeps take :math:`\Pi D^{-1} r` of residuals r of K, and corrections are
+:math:`\Pi P x`. Springs that hold gaps as well would be so stiff that smoothing is slow.
+
 Smoothing reads the levels' matrices many times, and memory takes the time. So real ones that are
-symmetric are stored by their upper halves, in blocks, and springs are applied as
-:math:`B^T W (B x)` beside them. For its smoother each level needs the largest eigenvalue of
-its matrix over the diagonal. On the finest level springs change it by a few percent, and it is kept
-as long as K is. On coarser levels they may double it.
+symmetric are stored by their upper halves, in blocks, and what springs add on coarse levels beside
+them: :math:`B P` has as many rows as B, with more entries in each. For its smoother each level
+needs the largest eigenvalue of its matrix over the diagonal. If D is K's diagonal, that of the
+finest level is no larger with Π than without, and is kept as long as K is. On coarser levels
+springs may double it.
 """
 
 from collections.abc import Sequence
 from math import gcd
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -88,41 +94,98 @@ class _Body:
             self.products.append(K.copy())
 
 
-class _Sprung:
-    """K + BᵀWB of one level as the context of a Python matrix."""
+class _Sum:
+    """K + BᵀWB of a coarse level as the context of a Python matrix."""
 
-    def __init__(self, K: PETSc.Mat, springs: PETSc.Mat):
-        """Take the matrices, of which the springs √W B become its own."""
-        self._K, self._springs, self._c = K, springs, springs.createVecLeft()
+    def __init__(self, K: PETSc.Mat, added: PETSc.Mat):
+        """Take the matrices, of which the second becomes its own."""
+        self._K, self._added = K, added
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec):
         """Apply it. Collective."""
         self._K.mult(x, y)
-        self._springs.mult(x, self._c)
-        self._springs.multTransposeAdd(self._c, y, y)
+        self._added.multAdd(x, y, y)
 
     def multTranspose(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec):
         """Apply its transpose. Collective."""
         self._K.multTranspose(x, y)
-        self._springs.mult(x, self._c)
-        self._springs.multTransposeAdd(self._c, y, y)
+        self._added.multAdd(x, y, y)
 
     def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec):
         """The diagonal. Collective."""
-        squares, one = self._springs.copy(), self._c.duplicate()
-        rows, columns, values = squares.getValuesCSR()
-        squares.setValuesCSR(rows, columns, values**2)
-        squares.assemble()
-        one.set(1.0)
         self._K.getDiagonal(diagonal)
-        squares.multTransposeAdd(one, diagonal, diagonal)
-        for obj in (squares, one):
-            obj.destroy()
+        added = self._added.getDiagonal()
+        diagonal.axpy(1.0, added)
+        added.destroy()
 
     def destroy(self, matrix: PETSc.Mat):
-        """Destroy the springs. Collective."""
-        for obj in (self._springs, self._c):
-            obj.destroy()
+        """Destroy what was added. Collective."""
+        self._added.destroy()
+
+
+class Projector(Protocol):
+    """Projection Π = I − D⁻¹FᵀS⁻¹B on displacements that hold constraints. All is collective."""
+
+    diagonal: PETSc.Vec
+    """The stiffness's diagonal."""
+    has_diagonal: bool
+    """True if D is that."""
+
+    def project(self, u: PETSc.Vec):
+        """Apply Π in place."""
+
+    def project_transpose(self, r: PETSc.Vec):
+        """Apply I − FᵀS⁻¹BD⁻¹ in place."""
+
+
+class _Smoother:
+    """Π diag(K)⁻¹ Πᵀ as the context of a Python PC."""
+
+    def __init__(self, projector: Projector, scale: float):
+        """Take a projector, which stays the caller's, and the scale of the level's matrix."""
+        self._projector, self._inverse = projector, projector.diagonal.copy()
+        self._inverse.scale(scale)
+        self._inverse.reciprocal()
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec):
+        """Apply it. Collective."""
+        r.copy(z)
+        if not self._projector.has_diagonal:  # else Π D⁻¹ Πᵀ = Π D⁻¹
+            self._projector.project_transpose(z)
+        z.pointwiseMult(self._inverse, z)
+        self._projector.project(z)
+
+    def destroy(self, pc: PETSc.PC):
+        """Destroy a vector. Collective."""
+        self._inverse.destroy()
+
+
+class _Interpolation:
+    """Π P as the context of a Python matrix."""
+
+    def __init__(self, projector: Projector, P: PETSc.Mat):
+        """Take a projector and a prolongator, which stay the caller's."""
+        self._projector, self._P, self._u = projector, P, P.createVecLeft()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, u: PETSc.Vec):
+        """Interpolate. Collective."""
+        self._P.mult(x, u)
+        self._projector.project(u)
+
+    def multAdd(self, matrix: PETSc.Mat, x: PETSc.Vec, u: PETSc.Vec, v: PETSc.Vec):
+        """Add what is interpolated to u. Collective."""
+        self.mult(matrix, x, self._u)
+        v.waxpy(1.0, u, self._u) if v != u else v.axpy(1.0, self._u)
+
+    def multTranspose(self, matrix: PETSc.Mat, r: PETSc.Vec, y: PETSc.Vec):
+        """Restrict. Collective."""
+        r.copy(self._u)
+        self._projector.project_transpose(self._u)
+        self._P.multTranspose(self._u, y)
+
+    def destroy(self, matrix: PETSc.Mat):
+        """Destroy a vector. Collective."""
+        self._u.destroy()
 
 
 class Hierarchy:
@@ -158,8 +221,10 @@ class Hierarchy:
         for matrix in (matrix for of in bodies for matrix in (*of.P, *of.products)):
             matrix.destroy()
         self._num_updates = 0
-        self._stiffness: list[PETSc.Mat] = []
+        self._stiffness: list[PETSc.Mat] = []  # all levels without springs
         self._levels: list[PETSc.Mat] = []
+        self.projects = False
+        """True if what the preconditioner gives holds the constraints."""
         self._largest: float | None = None  # eigenvalue of the finest level
 
     def set_stiffness(self, K: PETSc.Mat, ksp: PETSc.KSP):
@@ -179,28 +244,38 @@ class Hierarchy:
         self._num_updates += 1
         self._largest = None
         self._scale = 1.0 / mean_diagonal(K)  # PETSc tells zero pivots by size, without a unit
-        self._is_assembled = _needs_entries(ksp) or _asymmetry(K) > UNSYMMETRIC
+        self._needs_entries = not self._P or _needs_entries(ksp)
+        self._is_whole = self._needs_entries or _asymmetry(K) > UNSYMMETRIC
+        self._destroy_levels()
         for matrix in self._stiffness:
             matrix.destroy()
         self._stiffness = [K, *(matrix.copy() for matrix in self._products)]
         for matrix in self._stiffness:
             matrix.scale(self._scale)
-        if not self._is_assembled:
+        if not self._is_whole:
             fine = zip(self._stiffness[:-1], self._block_sizes)
             self._stiffness[:-1] = [_half(*of) for of in fine]
 
-    def attach(self, ksp: PETSc.KSP, operator: PETSc.Mat, springs: PETSc.Mat | None):
+    def attach(
+        self,
+        ksp: PETSc.KSP,
+        operator: PETSc.Mat,
+        springs: PETSc.Mat | None,
+        projector: Projector,
+    ):
         """Set a KSP's operators, and those of its multigrid's levels. Collective.
 
         Args:
             ksp: The KSP; if its PC isn't ``mg`` it gets the finest level alone.
             operator: What it iterates on.
             springs: √W B, or None.
+            projector: Π, with springs.
         """
-        for matrix in self._levels:
-            matrix.destroy()
-        self._levels = self._sprung(springs) if springs is not None else []
-        levels = self._levels or self._stiffness
+        self._destroy_levels()
+        self.projects = springs is not None and not self._needs_entries
+        if springs is not None:
+            self._levels = self._with_springs(springs)
+        levels = [*self._stiffness[: self.projects], *self._levels] or self._stiffness
         ksp.setOperators(operator, levels[0])
         pc = ksp.getPC()
         if pc.getType() != PETSc.PC.Type.MG:
@@ -214,60 +289,92 @@ class Hierarchy:
             pc.setMGInterpolation(num - 1 - level, P)
         for level, matrix in enumerate(levels[1:], 1):
             pc.getMGSmoother(num - 1 - level).setOperators(matrix)
-        self._set_up(pc, levels[0], num - 1)
+        if not self.projects:
+            self._set_up(pc, levels[0], num - 1)
+            return
+        smoother = pc.getMGSmoother(num - 1).getPC()
+        smoother.setType(PETSc.PC.Type.PYTHON)
+        smoother.setPythonContext(_Smoother(projector, self._scale))
+        limited = None if projector.has_diagonal else _Smoother(projector, self._scale)
+        context = _Interpolation(projector, self._P[0])
+        interpolation = PETSc.Mat().createPython(self._P[0].getSizes(), context, comm=ksp.comm)
+        interpolation.setUp()
+        pc.setMGInterpolation(num - 1, interpolation)
+        interpolation.destroy()
+        name = f"{pc.getOptionsPrefix()}mg_levels_{num - 1}_pc_type"
+        PETSc.Options()[name] = PETSc.PC.Type.PYTHON
+        try:
+            self._set_up(pc, levels[0], num - 1, limited)
+        finally:
+            del PETSc.Options()[name]
 
-    def _set_up(self, pc: PETSc.PC, finest: PETSc.Mat, number: int):
-        """Set up multigrid, with the largest eigenvalue for the smoother of the finest level."""
+    def _set_up(
+        self, pc: PETSc.PC, finest: PETSc.Mat, number: int, smoother: _Smoother | None = None
+    ):
+        """Set up multigrid, with the largest eigenvalue for the smoother of the finest level.
+
+        Args:
+            pc: Multigrid.
+            finest: The finest level's matrix.
+            number: Number of that level.
+            smoother: Smoother with larger eigenvalues than those over the diagonal, or None.
+        """
         prefix, database, name = pc.getOptionsPrefix(), PETSc.Options(), "ksp_chebyshev_eigenvalues"
         one, esteig = f"{prefix}mg_levels_{number}_{name}", "ksp_chebyshev_esteig"
         levels = [f"{prefix}mg_levels_{of}" for of in ("", f"{number}_")]
         given = any(of + option in database for of in levels for option in (name, esteig))
-        kinds = {database.getString(of + "pc_type", "jacobi") for of in levels}
+        kinds = {database.getString(of + "pc_type", "jacobi") for of in levels} - {"python"}
         if given or kinds != {"jacobi"}:  # its eigenvalues, or those with another preconditioner
             pc.setUp()
             return
-        if self._largest is None:
-            self._largest = _largest_eigenvalue(finest, f"{prefix}mg_levels_esteig_")
-        database[one] = f"{0.1 * self._largest},{1.1 * self._largest}"  # as PETSc for others
+        largest = self._largest if smoother is None else None
+        if largest is None:
+            largest = _largest_eigenvalue(finest, f"{prefix}mg_levels_esteig_", smoother)
+        if smoother is None:
+            self._largest = largest
+        database[one] = f"{0.1 * largest},{1.1 * largest}"  # as PETSc for others
         try:
             pc.setUp()
         finally:
             del database[one]
 
-    def _sprung(self, springs: PETSc.Mat) -> list[PETSc.Mat]:
-        """Each level with (√W B P)ᵀ √W B P. Collective."""
-        found, coarsened, done = [], springs.copy(), []
-        coarsened.scale(self._scale**0.5)
+    def _with_springs(self, springs: PETSc.Mat) -> list[PETSc.Mat]:
+        """Each level with (√W B P)ᵀ √W B P, without the finest one if that projects. Collective."""
+        found, part = [], springs.copy()
+        part.scale(self._scale**0.5)
         for level, K in enumerate(self._stiffness):
             if level:
-                coarsened = coarsened.matMult(self._P[level - 1])
-            if self._is_assembled or level == len(self._P):
-                found.append(_assembled(K, coarsened))
-                done.append(coarsened)
+                fine, part = part, part.matMult(self._P[level - 1])
+                fine.destroy()
+            elif self.projects:
+                continue
+            transposed = part.copy().transpose()
+            added = transposed.matMult(part)
+            transposed.destroy()
+            if self._needs_entries or level == len(self._P):
+                found.append(K.copy())
+                found[-1].axpy(1.0, added, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+                added.destroy()
             else:
-                context = _Sprung(K, coarsened)
-                matrix = PETSc.Mat().createPython(K.getSizes(), context, comm=K.comm)
-                matrix.setUp()
-                found.append(matrix)
-        for matrix in done:
-            matrix.destroy()
+                if not self._is_whole:
+                    added = _half(added, self._block_sizes[level])
+                found.append(PETSc.Mat().createPython(K.getSizes(), _Sum(K, added), comm=K.comm))
+                found[-1].setUp()
+        part.destroy()
         return found
+
+    def _destroy_levels(self):
+        """Destroy the levels of the last springs. Collective."""
+        for matrix in self._levels:
+            matrix.destroy()
+        self._levels = []
 
     def destroy(self):
         """Destroy the PETSc objects. Collective."""
-        for matrix in (*self._P, *self._products, *self._stiffness, *self._levels):
+        self._destroy_levels()
+        for matrix in (*self._P, *self._products, *self._stiffness):
             matrix.destroy()
-        self._P, self._products, self._stiffness, self._levels = [], [], [], []
-
-
-def _assembled(K: PETSc.Mat, springs: PETSc.Mat) -> PETSc.Mat:
-    """K + BᵀWB by its entries, of an AIJ matrix K. Collective."""
-    transposed, found = springs.copy().transpose(), K.copy()
-    coupling = transposed.matMult(springs)
-    found.axpy(1.0, coupling, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    for obj in (transposed, coupling):
-        obj.destroy()
-    return found
+        self._P, self._products, self._stiffness = [], [], []
 
 
 def _needs_entries(ksp: PETSc.KSP) -> bool:
@@ -277,7 +384,8 @@ def _needs_entries(ksp: PETSc.KSP) -> bool:
         return True
     given = PETSc.Options(pc.getOptionsPrefix()).getAll()
     of_levels = [k for k in given if k.startswith(("mg_levels", "mg_fine")) and "_pc_" in k]
-    return "pc_mg_galerkin" in given or not {given[k] for k in of_levels} <= {"jacobi", "none"}
+    named = {"pc_mg_galerkin", "pc_mg_distinct_smoothup"} & set(given)
+    return bool(named) or not {given[k] for k in of_levels} <= {"jacobi"}
 
 
 def _asymmetry(K: PETSc.Mat) -> float:
@@ -294,12 +402,14 @@ def _asymmetry(K: PETSc.Mat) -> float:
     return abs(found[1] - np.conj(found[0])) / size if size else 0.0
 
 
-def _largest_eigenvalue(A: PETSc.Mat, prefix: str) -> float:
-    """Largest eigenvalue of a matrix over its diagonal, nearly. Collective."""
+def _largest_eigenvalue(A: PETSc.Mat, prefix: str, smoother: _Smoother | None) -> float:
+    """Largest eigenvalue of a matrix with a smoother, or over its diagonal, nearly. Collective."""
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setType(PETSc.KSP.Type.GMRES)
-    ksp.getPC().setType(PETSc.PC.Type.JACOBI)
+    ksp.getPC().setType(PETSc.PC.Type.PYTHON if smoother else PETSc.PC.Type.JACOBI)
+    if smoother:
+        ksp.getPC().setPythonContext(smoother)
     ksp.setNormType(PETSc.KSP.NormType.NONE)
     ksp.setComputeEigenvalues(True)
     ksp.setFromOptions()

@@ -7,8 +7,9 @@ r"""Conjugate gradients and algebraic multigrid for :math:`\Pi^T K \Pi x = \Pi^T
 
 removes the gaps from displacements; so :math:`u = \Pi x + u_c` holds all ties, with
 :math:`u_c = D^{-1} B^T S^{-1} c`. Conjugate gradients don't mind that the system is singular. S
-lives on Γ1 and is factorised. Multigrid gets :math:`K + B^T W B`: springs across the gap, which
-also hold bodies that nothing else holds. They are as stiff as the cells that Π moves: weaker ones
+lives on Γ1 and is factorised. Multigrid holds the ties on its finest level by Π, too. On coarser
+ones it gets :math:`K + B^T W B`: springs across the gap, which also hold bodies that nothing else
+holds. They are as stiff as the cells that Π moves: weaker ones
 would leave gaps to the iteration, stiffer ones make multigrid worse.
 
 D decides which side moves to close a gap. With K's diagonal that is the softer one, so that
@@ -19,6 +20,7 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -87,6 +89,8 @@ class Projection:
         self.matrix = PETSc.Mat().createPython(self.K.getSizes(), _Operator(self), comm=comm)
         self.matrix.setUp()
         self.x, self.b = self.matrix.createVecs()
+        self.has_diagonal = True
+        """True if D is K's diagonal."""
         self.factor = 1.0
         """Factor of the stiffness."""
         self.iterations = 0
@@ -133,7 +137,7 @@ class Projection:
                 obj.destroy()
             springs = whole
         assert self._hierarchy is not None
-        self._hierarchy.attach(ksp, self.matrix, springs)
+        self._hierarchy.attach(ksp, self.matrix, springs, weakref.proxy(self))
         if springs is not None:
             springs.destroy()
 
@@ -168,32 +172,36 @@ class Projection:
         """Factorise S for the constraints; √W B."""
         self._constraints, B = constraints, constraints.B
         self._c, self._y = B.createVecLeft(), B.createVecLeft()
-        self._Ft = (constraints.forces or B).copy().transpose()
+        self._F = constraints.forces or B
         squares = B.copy()
         rows, columns, values = B.getValuesCSR()
         squares.setValuesCSR(rows, columns, values**2)
         squares.assemble()
-        self._inverse, stiffness = self._weights(squares)
-        self._DFt = self._Ft.copy()
-        self._DFt.diagonalScale(L=self._inverse)
-        S = B.matMult(self._DFt)
+        self._inverse = self._weights(squares)
+        self._FD = self._F.copy()
+        self._FD.diagonalScale(R=self._inverse)
+        S = B.matTransposeMult(self._FD)
+        stiffness = self._stiffness_of_springs(squares, S)
         self._solver.reset()  # there may be more constraints, or fewer
         self._solver.setOperators(S)
         self._solver.setUp()
         springs = B.copy()
         stiffness.sqrtabs()
         springs.diagonalScale(L=stiffness)
-        self._of_constraints = [self._c, self._y, self._Ft, self._DFt, self._inverse, S]
+        self._of_constraints = [self._c, self._y, self._FD, self._inverse, S]
         for obj in (squares, stiffness):
             obj.destroy()
         return springs
 
     def mult(self, x: PETSc.Vec, y: PETSc.Vec):
         """Apply ΠᵀKΠ."""
-        x.copy(self._u)
-        self._project(self._u)
-        self._stiffness_times(self._u, y, self._more)
-        self._project_transpose(y)
+        assert self._hierarchy is not None
+        if not self._hierarchy.projects:
+            x.copy(self._u)
+            self.project(self._u)
+            x = self._u
+        self._stiffness_times(x, y, self._more)
+        self.project_transpose(y)
 
     def _stiffness_times(self, u: PETSc.Vec, y: PETSc.Vec, more: PETSc.Mat | None):
         self.K.mult(u, y)
@@ -202,22 +210,22 @@ class Projection:
         if more is not None:
             more.multAdd(u, y, y)
 
-    def _project(self, u: PETSc.Vec):
+    def project(self, u: PETSc.Vec):
         """Apply Π in place."""
         if self._constraints is not None:
             self._constraints.B.mult(u, self._c)
             self._solver.solve(self._c, self._y)
             self._y.scale(-1.0)
-            self._DFt.multAdd(self._y, u, u)
+            self._FD.multTransposeAdd(self._y, u, u)
 
-    def _project_transpose(self, r: PETSc.Vec):
+    def project_transpose(self, r: PETSc.Vec):
         """Apply Πᵀ in place; y has the multipliers, which take part of the loads."""
         if self._constraints is not None:
             self._u.pointwiseMult(self._inverse, r)
             self._constraints.B.mult(self._u, self._c)
             self._solver.solve(self._c, self._y)
             self._c.axpby(-1.0, 0.0, self._y)
-            self._Ft.multAdd(self._c, r, r)
+            self._F.multTransposeAdd(self._c, r, r)
 
     def work(self, values: npt.NDArray, more: PETSc.Mat | None = None) -> float:
         """Work of the stiffness on displacements.
@@ -251,19 +259,19 @@ class Projection:
             message = failure(self._solver)
             if message:
                 raise SolveError(message)
-            self._DFt.multAdd(self._y, u, u)
+            self._FD.multTransposeAdd(self._y, u, u)
 
     def load(self, loads: npt.NDArray, u: PETSc.Vec, r: PETSc.Vec):
         """Set r = Πᵀ(f − K u), and the multipliers."""
         self._stiffness_times(u, r, self._more)
         r.array[:] = loads - r.array_r
-        self._project_transpose(r)
+        self.project_transpose(r)
 
     def add_solution(self, ksp: PETSc.KSP, u: PETSc.Vec):
         """Solve for the loads b, and add the displacements to u."""
         ksp.solve(self.b, self.x)
         self.x.copy(self._u)
-        self._project(self._u)
+        self.project(self._u)
         u.axpy(1.0, self._u)
         self.iterations = ksp.getIterationNumber()
 
@@ -311,11 +319,11 @@ class Projection:
         """Norm of the forces of the multipliers of the last loads."""
         if self._constraints is None:
             return 0.0
-        self._Ft.mult(self._y, self._u)
+        self._F.multTranspose(self._y, self._u)
         return self._u.norm()
 
-    def _weights(self, squares: PETSc.Mat) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """D⁻¹ and W's diagonal: for a gap g, about the energy of what Π moves."""
+    def _weights(self, squares: PETSc.Mat) -> PETSc.Vec:
+        """D⁻¹."""
         diagonal, smallest = self.diagonal, self.diagonal.min()[1]
         assert self._constraints is not None
         if smallest <= 0:
@@ -328,15 +336,23 @@ class Projection:
             D[own] = np.minimum(
                 D[own], CONTRAST * self._stiffness_behind(squares, others, rows)[own]
             )
-        inverse, energy = diagonal.duplicate(), diagonal.duplicate()
+        inverse = diagonal.duplicate()
         inverse.array[:] = 1.0 / D
-        energy.array[:] = diagonal.array_r / D**2
-        springs = squares.createVecLeft()
+        equal = np.array_equal(D, diagonal.array_r.real)
+        self.has_diagonal = diagonal.comm.tompi4py().allreduce(equal, MPI.LAND)
+        return inverse
+
+    def _stiffness_of_springs(self, squares: PETSc.Mat, S: PETSc.Mat) -> PETSc.Vec:
+        """W's diagonal: for smooth gaps about the energy of what Π moves."""
+        energy, springs = self.diagonal.duplicate(), squares.createVecLeft()
+        energy.array[:] = self.diagonal.array_r * self._inverse.array_r**2
         squares.mult(energy, springs)
-        squares.mult(inverse, self._c)
-        springs.array[:] = springs.array_r / self._c.array_r**2
+        squares.mult(self._inverse, self._c)
+        starts, _, values = S.getValuesCSR()
+        sums = np.add.reduceat(np.append(np.abs(values), 0.0), starts[:-1])  # no row is empty
+        springs.array[:] = springs.array_r / (self._c.array_r * sums)
         energy.destroy()
-        return inverse, springs
+        return springs
 
     def _stiffness_behind(self, squares: PETSc.Mat, others, rows: slice) -> npt.NDArray[np.float64]:
         """Stiffness behind a tie at each dof: a harmonic mean, inf without a tie."""

@@ -46,7 +46,7 @@ def springs_on(A, num=3):
     ),
 )
 def test_levels(options, convection):
-    """Pᵀ(K + BᵀWB)P of three stiffnesses, symmetric or not, with springs added or beside them."""
+    """Pᵀ(K + BᵀWB)P of three stiffnesses, symmetric or not; the finest level may project."""
     bodies = [rectangle((24, 20), (0, 0), (1, 1)), rectangle((3, 2), (0, 1), (1, 2))]
     K = []
     for body in bodies:
@@ -68,9 +68,10 @@ def test_levels(options, convection):
             A = nested.convert("aij", PETSc.Mat())
             springs = springs_on(A)
             hierarchy.set_stiffness(A.copy(), ksp)
-            hierarchy.attach(ksp, A, springs)
+            hierarchy.attach(ksp, A, springs, Half(A))
+            assert hierarchy.projects == (not options)
             ksp.setUp()
-            check_levels(ksp.getPC(), A, springs)
+            check_levels(ksp.getPC(), A, springs, hierarchy.projects)
             for obj in (A, springs):
                 obj.destroy()
     hierarchy.destroy()
@@ -78,7 +79,21 @@ def test_levels(options, convection):
         obj.destroy()
 
 
-def check_levels(pc, A, springs):
+class Half:
+    """A projector that gives half of a vector."""
+
+    has_diagonal = True
+
+    def __init__(self, A):
+        self.diagonal = A.getDiagonal()
+
+    def project(self, u):
+        u.scale(0.5)
+
+    project_transpose = project
+
+
+def check_levels(pc, A, springs, projects):
     """Compare a PC's levels with products of what they are made of."""
     transposed = springs.copy().transpose()
     fine = A.copy()
@@ -87,16 +102,43 @@ def check_levels(pc, A, springs):
     assert num > 2
     for level in range(num - 1, -1, -1):
         found = pc.getMGSmoother(level).getOperators()[1]
+        at_finest = projects and level == num - 1
+        matrix = A if at_finest else fine
         x, y = fine.createVecs()
         z, diagonal = y.duplicate(), found.getDiagonal()
         x.setRandom()
-        fine.mult(x, y)
+        matrix.mult(x, y)
         found.mult(x, z)
         scale = scale or z.norm() / y.norm()
         y.scale(scale)
         assert (y - z).norm() <= 1e-13 * y.norm()
-        wanted = fine.getDiagonal()
+        wanted = matrix.getDiagonal()
         wanted.scale(scale)
         assert (diagonal - wanted).norm() <= 1e-13 * wanted.norm()
         if level:
-            fine = fine.ptap(pc.getMGInterpolation(level))
+            P = pc.getMGInterpolation(level)
+            if at_finest:
+                check_projected(P, pc.getMGSmoother(level).getPC(), diagonal, y)
+                P = P.getPythonContext()._P
+            fine = fine.ptap(P)
+
+
+def check_projected(interpolation, smoother, diagonal, r):
+    """ΠP, its transpose, and Π D⁻¹ of a projector that halves."""
+    P = interpolation.getPythonContext()._P
+    (x, u), (y, v) = interpolation.createVecs(), P.createVecs()
+    x.setRandom()
+    interpolation.mult(x, u)
+    P.mult(x, v)
+    v.scale(0.5)
+    assert (u - v).norm() <= 1e-15 * v.norm()
+    interpolation.multAdd(x, v, u)
+    assert (u - 2 * v).norm() <= 1e-15 * v.norm()
+    interpolation.multTranspose(u, x)
+    P.multTranspose(u, y)
+    y.scale(0.5)
+    assert (x - y).norm() <= 1e-15 * y.norm()
+    smoother.apply(r, u)
+    v.pointwiseDivide(r, diagonal)
+    v.scale(0.5)
+    assert (u - v).norm() <= 1e-14 * v.norm()

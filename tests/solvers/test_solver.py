@@ -281,6 +281,33 @@ def test_contrasts_body_by_body():
     assert max(its) <= 2 * its[0]
 
 
+@two_ranks(flip=[False])
+@pytest.mark.parametrize("flip", (False, True))
+def test_iterations_beside_one_body(flip):
+    """A tie of two blocks takes about as many as each block alone: smoothing holds the tie."""
+    blocks = [(6, 0.0), (9, 1.0)]
+    its = []
+    for some in ([blocks[0]], blocks):
+        V, sides, a, L, bcs = [], [], [], [], []
+        for n, low in some:
+            place = np.array((0, 0, low))
+            mesh, ft = meshes.block(comm, (n, n, n), lambda x, p=place: x + p, cell="hexahedron")
+            V.append(fem.functionspace(mesh, ("Lagrange", 1, (3,))))
+            u, v = ufl.TrialFunction(V[-1]), ufl.TestFunction(V[-1])
+            strain, x = [ufl.sym(ufl.grad(w)) for w in (u, v)], ufl.SpatialCoordinate(mesh)
+            a.append(ufl.inner(strain[0] + ufl.tr(strain[0]) * ufl.Identity(3), strain[1]) * ufl.dx)
+            L.append(ufl.inner(ufl.as_vector((ufl.sin(3 * x[1]), x[0], 1 + x[2])), v) * ufl.dx)
+            sides.append((V[-1], ft.find(meshes.BACK if low else meshes.FRONT)))
+            if not low:
+                dofs = fem.locate_dofs_topological(V[-1], 2, ft.find(meshes.BACK))
+                bcs.append(fem.dirichletbc(np.zeros(3, dtype=default_scalar_type), dofs, V[-1]))
+        ties = [Tie(*(sides[::-1] if flip else sides))] if len(sides) > 1 else []
+        problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="iterative")
+        problem.solve()
+        its.append(problem.iterations)
+    assert its[1] <= its[0] + 4, str(its)  # 17 and 14, 21 with springs
+
+
 @pytest.mark.ranks(2, num=sweep([(6, 3), (15, 14)], 2), flip=[False])
 @pytest.mark.parametrize("dim, num", ((2, (30, 5)), (2, (5, 30)), (2, (15, 14)), (3, (6, 3))))
 @pytest.mark.parametrize("flip", (False, True))
