@@ -135,7 +135,8 @@ class Projection:
             whole = both.convert("aij", PETSc.Mat())
             for obj in (both, springs, beside):
                 obj.destroy()
-            springs = whole
+            beside = whole
+        springs = beside or springs
         assert self._hierarchy is not None
         self._hierarchy.attach(ksp, self.matrix, springs, weakref.proxy(self))
         if springs is not None:
