@@ -217,11 +217,17 @@ class ContactSystem(NonlinearSystem):
                 raise ValueError(f'solver="iterative" is not possible: {reason}; take "direct".')
             reduction = max(TIGHT * self._rtol, ROUND_OFF_FORCES)
             given = self._system, self._rows, *options, reduction
-            return MultigridTangent(*given, symmetric=symmetric)
+            return MultigridTangent(*given, symmetric=symmetric, is_linear=self._is_linear)
         found = ways(*options, plane=self._dim == 2, symmetric=symmetric)
         fields = self._fields[: self._num_elastic]
         sizes = len(self._points), self._num_ties
         return Tangent(self._A, fields, self._rows, self._prefix, found, *sizes)
+
+    @property
+    def _is_linear(self) -> bool:
+        """True with small sliding and linear forms."""
+        follows = any(pair.contact.geometry.follows for pair in self._pairs)
+        return not follows and not any(of.on_u for of in self._depends)
 
     @property
     def solver_name(self) -> str:
@@ -703,9 +709,7 @@ class ContactSystem(NonlinearSystem):
 
         With small sliding and linear forms all steps have the same motions, rows and load.
         """
-        changes = any(pair.contact.geometry.follows for pair in self._pairs)
-        changes |= any(of.on_u for of in self._depends) or self._hooks.has("before_step")
-        if changes or self._points:
+        if not self._is_linear or self._hooks.has("before_step") or self._points:
             return False
         assert self._free is not None
         modes = [self._free.at(i, 0 * part) for i, part in enumerate(self._owned())]

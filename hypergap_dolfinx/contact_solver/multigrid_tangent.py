@@ -150,6 +150,7 @@ class MultigridTangent:
         reduction: float,
         *,
         symmetric: bool,
+        is_linear: bool,
     ):
         """Store the bodies, ties and contacts.
 
@@ -160,6 +161,8 @@ class MultigridTangent:
             options: The user's.
             reduction: Reduction of the residual in a Newton step.
             symmetric: True if there is no friction.
+            is_linear: True if one Newton step is exact: its residual is small beside the contacts'
+                forces, too.
         """
         # As many iterations as with the ties' three sweeps, each of 3/4 of the seconds
         defaults = {**Multigrid.OPTIONS, "ksp_max_it": 200, "mg_levels_ksp_max_it": 2}
@@ -169,7 +172,7 @@ class MultigridTangent:
         self._made: Projection | None = None
         self._options = Options(prefix, options or {}, defaults, "")
         self._system, self._rows, self._symmetric = system, list(rows), symmetric
-        self._reduction = reduction
+        self._reduction, self._is_linear = reduction, is_linear
         self._comm = system.K[0].comm.tompi4py()
         with self._options.in_use():
             self._ksp = PETSc.KSP().create(system.K[0].comm)
@@ -367,7 +370,8 @@ class MultigridTangent:
                     raise IterationFailed(message)
                 self.has_converged |= accurate
                 of.load(loads, u, of.r)
-                if accurate and not alone and of.refine(ksp, u, size, self._reduction):
+                refines = self._is_linear and accurate and not alone
+                if refines and of.refine(ksp, u, size, self._reduction):
                     self.iterations += of.iterations
                     of.load(loads, u, of.r)
         x, y = u.array_r.real.copy(), of.multipliers.real.copy()

@@ -99,9 +99,9 @@ class Pressed:
                 self.hold(body.u.function_space, sides, (1,))
         else:
             self.values = self.hold(last.u.function_space, last_tags.find(meshes.FRONT), range(3))
-        sides = (V, low_tags.find(meshes.FRONT)), (W, tags.find(meshes.BACK))
+        self.sides = (V, low_tags.find(meshes.FRONT)), (W, tags.find(meshes.BACK))
         names = ("friction", "elastic_slip", "sliding", "compliance")
-        self.contact = Contact(*sides, **{k: more.pop(k) for k in names if k in more})
+        self.contact = Contact(*self.sides, **{k: more.pop(k) for k in names if k in more})
         if repelled:
             repelled = fem.Constant(V.mesh, default_scalar_type(repelled))
             low.F -= repelled * ufl.inner(low.u, ufl.TestFunction(V)) * ufl.dx(V.mesh)
@@ -255,7 +255,13 @@ def test_linear_problems_with_friction_take_one_step(solver, soft):
 @pytest.mark.parametrize("degree", [1, 2])
 def test_prescribed_displacements_take_one_step(degree):
     """Also where prescribed displacements are far larger loads than contact's forces."""
-    scene = Pressed(3, 1e-3, degree=degree, sliding="small", solver="iterative")
+    scene, forms = Pressed(3, 1e-3, degree=degree), []
+    for u, stiffness in zip(scene.u, (1e-3, 1), strict=True):
+        v = ufl.TestFunction(u.function_space)
+        strain, of_v = (ufl.sym(ufl.grad(w)) for w in (u, v))
+        forms.append(stiffness * (ufl.inner(strain, of_v) + ufl.div(u) * ufl.div(v)) * ufl.dx)
+    given = {"bcs": scene.bcs, "contacts": [Contact(*scene.sides, sliding="small")]}
+    scene.problem = ContactProblem(forms, scene.u, **given, solver="iterative")
     assert scene.solve(DOWN) == [1, 1]
 
 
