@@ -14,7 +14,8 @@ constraints, and :math:`P^T K P` is computed only if K changes. At first it is t
 
 On the finest level smoothing holds the constraints instead: with a projection Π on displacements
 that do, sweeps take :math:`\Pi D^{-1} r` of residuals r of K, and corrections are
-:math:`\Pi P x`. Springs that hold gaps as well would be so stiff that smoothing is slow.
+:math:`\Pi P x`. Springs that hold gaps as well would be so stiff that smoothing is slow. With
+friction Π is oblique, which lengthens what it projects: springs it is, then.
 
 Smoothing reads the levels' matrices many times, and memory takes the time. So real ones that are
 symmetric are stored by their upper halves, in blocks, and what springs add on coarse levels beside
@@ -130,6 +131,8 @@ class Projector(Protocol):
     """The stiffness's diagonal."""
     has_diagonal: bool
     """True if D is that."""
+    is_symmetric: bool
+    """True if F is B."""
 
     def project(self, u: PETSc.Vec):
         """Apply Π in place."""
@@ -272,7 +275,7 @@ class Hierarchy:
             projector: Π, with springs.
         """
         self._destroy_levels()
-        self.projects = springs is not None and not self._needs_entries
+        self.projects = springs is not None and not self._needs_entries and projector.is_symmetric
         if springs is not None:
             self._levels = self._with_springs(springs)
         levels = [*self._stiffness[: self.projects], *self._levels] or self._stiffness

@@ -89,8 +89,8 @@ class Projection:
         self.matrix = PETSc.Mat().createPython(self.K.getSizes(), _Operator(self), comm=comm)
         self.matrix.setUp()
         self.x, self.b = self.matrix.createVecs()
-        self.has_diagonal = True
-        """True if D is K's diagonal."""
+        self.has_diagonal = self.is_symmetric = True
+        """True if D is K's diagonal; if F is B."""
         self.factor = 1.0
         """Factor of the stiffness."""
         self.iterations = 0
@@ -173,7 +173,7 @@ class Projection:
         """Factorise S for the constraints; √W B."""
         self._constraints, B = constraints, constraints.B
         self._c, self._y = B.createVecLeft(), B.createVecLeft()
-        self._F = constraints.forces or B
+        self._F, self.is_symmetric = constraints.forces or B, constraints.forces is None
         squares = B.copy()
         rows, columns, values = B.getValuesCSR()
         squares.setValuesCSR(rows, columns, values**2)
@@ -344,13 +344,18 @@ class Projection:
         return inverse
 
     def _stiffness_of_springs(self, squares: PETSc.Mat, S: PETSc.Mat) -> PETSc.Vec:
-        """W's diagonal: for smooth gaps about the energy of what Π moves."""
+        """W's diagonal: about the energy of what Π moves.
+
+        Where F is B for smooth gaps, since springs are on coarse levels alone; else for each gap.
+        """
         energy, springs = self.diagonal.duplicate(), squares.createVecLeft()
         energy.array[:] = self.diagonal.array_r * self._inverse.array_r**2
         squares.mult(energy, springs)
         squares.mult(self._inverse, self._c)
-        starts, _, values = S.getValuesCSR()
-        sums = np.add.reduceat(np.append(np.abs(values), 0.0), starts[:-1])  # no row is empty
+        sums = self._c.array_r
+        if self.is_symmetric:
+            starts, _, values = S.getValuesCSR()
+            sums = np.add.reduceat(np.append(np.abs(values), 0.0), starts[:-1])  # no row is empty
         springs.array[:] = springs.array_r / (self._c.array_r * sums)
         energy.destroy()
         return springs

@@ -82,7 +82,7 @@ def test_levels(options, convection):
 class Half:
     """A projector that gives half of a vector."""
 
-    has_diagonal = True
+    has_diagonal = is_symmetric = True
 
     def __init__(self, A):
         self.diagonal = A.getDiagonal()
