@@ -105,8 +105,9 @@ class Pressed:
         if repelled:
             repelled = fem.Constant(V.mesh, default_scalar_type(repelled))
             low.F -= repelled * ufl.inner(low.u, ufl.TestFunction(V)) * ufl.dx(V.mesh)
+        self.F = [body.F for body in bodies]
         self.problem = ContactProblem(
-            [body.F for body in bodies],
+            self.F,
             self.u,
             bcs=self.bcs,
             contacts=[self.contact],
@@ -273,6 +274,17 @@ def test_guesses_with_elastic_slip():
     scene = Pressed(4, friction=0.1, elastic_slip=1e-3, solver="iterative")
     scene.solve(ELASTIC)
     assert scene.problem.solver_name == "iterative"
+
+
+def test_held_by_slip():
+    """Multigrid knows what turning tractions hold, beside what slips against them."""
+    scene = Pressed(free=True)
+    contact = Contact(*scene.sides, friction=0.02)
+    held = scene.bcs[:3]  # the lower block
+    given = {"bcs": held, "contacts": [contact], "solver": "iterative"}
+    scene.problem = ContactProblem(scene.F, scene.u, **given)
+    assert max(scene.solve((0.05,))) <= 5 and scene.problem.solver_name == "iterative"
+    assert contact.slipping.sum() > contact.sticking.sum()
 
 
 def test_many_laws_in_several_steps(monkeypatch):
