@@ -304,12 +304,15 @@ class Hierarchy:
         interpolation.setUp()
         pc.setMGInterpolation(num - 1, interpolation)
         interpolation.destroy()
-        name = f"{pc.getOptionsPrefix()}mg_levels_{num - 1}_pc_type"
-        PETSc.Options()[name] = PETSc.PC.Type.PYTHON
+        database, name = PETSc.Options(), f"{pc.getOptionsPrefix()}mg_levels_{num - 1}_pc_type"
+        given = database.getString(name, "")
+        database[name] = PETSc.PC.Type.PYTHON
         try:
             self._set_up(pc, levels[0], num - 1, limited)
         finally:
-            del PETSc.Options()[name]
+            del database[name]
+            if given:
+                database[name] = given
 
     def _set_up(
         self, pc: PETSc.PC, finest: PETSc.Mat, number: int, smoother: _Smoother | None = None

@@ -75,9 +75,11 @@ class ForceBalance:
 
     def measure_stiffness(self):
         """Measure the stiffness, which has changed. Collective."""
-        bodies = zip(self._fields, self._K, self._held[: self._num], strict=False)
+        bodies = list(zip(self._fields, self._K, self._held[: self._num], strict=False))
         found = min((field.stiffness(K, held) for field, K, held in bodies), default=0.0)
-        self.stiffness = found if np.isfinite(found) else 0.0
+        if not np.isfinite(found):  # all is prescribed: the size of those rows
+            found = min(field.stiffness(K, np.zeros_like(held)) for field, K, held in bodies)
+        self.stiffness = found
         pairs = zip(self._fields, self._K, strict=True)
         self._row_lengths = [field.lengths(K) for field, K in pairs]
         self._translated = None

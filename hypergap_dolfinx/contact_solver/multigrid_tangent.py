@@ -33,7 +33,7 @@ from hypergap_dolfinx.contact_solver.tolerances import (
     ROUGH,
     STEPS,
 )
-from hypergap_dolfinx.core.sparse import coo_matrix, mean_diagonal
+from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.solvers.multigrid import Multigrid, joined_ties
 from hypergap_dolfinx.solvers.projection import Constraints, Projection
@@ -234,14 +234,18 @@ class MultigridTangent:
         """Start a load step."""
         self._last = None
 
-    def remember_stiffness(self, _of_rigid: float):
-        """Remember the diagonal of the bodies' present stiffness, which is that without stress."""
+    def remember_stiffness(self, stiffness: float):
+        """Remember the diagonal of the bodies' present stiffness, which is that without stress.
+
+        Args:
+            stiffness: That of the softest part, the unit of contacts' equations.
+        """
         if self._made is None:  # K has values from now on
             with self._options.in_use():
                 self._made = Projection(self._system.K, self._system.spaces, self._prefix)
         self._at_rest = self._projection.K.createVecRight()
         self._projection.K.getDiagonal(self._at_rest)
-        self._stiffness = min(mean_diagonal(K) for K in self._system.K)
+        self._stiffness = stiffness
 
     @property
     def _projection(self) -> Projection:

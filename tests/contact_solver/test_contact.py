@@ -39,7 +39,7 @@ class Blocks:
         spans = (((0, -1), (2, 0)), ((0.5, gap), (1.5, 1 + gap)))
         if walls:  # strain is uniform
             spans = spans[0], ((0, gap), (2, 1 + gap))
-        self.u, F, self.bcs, sides = [], [], [], []
+        self.u, F, self.bcs, self.sides = [], [], [], []
         for i, (low, high) in enumerate(spans):
 
             def place(x, low=np.array(low), high=np.array(high)):
@@ -63,8 +63,8 @@ class Blocks:
             self.bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, V.sub(0)))
             self.u.append(body.u)
             F.append(body.F)
-            sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
-        self.contact = Contact(*(sides[::-1] if swap else sides), **options)
+            self.sides.append((V, ft.find((meshes.TOP, meshes.BOTTOM)[i])))
+        self.contact = Contact(*(self.sides[::-1] if swap else self.sides), **options)
         self.F = F
         self.problem = ContactProblem(F, self.u, bcs=self.bcs, contacts=[self.contact])
 
@@ -305,6 +305,21 @@ def test_small_loads_of_stiff_bodies():
         scene.load.value = load
         scene.problem.solve()
         assert abs(scene.contact.force(scene.problem)[1]) == pytest.approx(load, rel=1e-6)
+
+
+@two_ranks()
+def test_all_is_prescribed():
+    """Also then contact's equations have a unit of stiffness."""
+    scene = Blocks(gap=0.1)
+    bcs = []
+    for u, down in zip(scene.u, (0, -0.05), strict=True):
+        V = u.function_space
+        dofs = fem.locate_dofs_geometrical(V, lambda x: x[0] < 3)
+        bcs.append(fem.dirichletbc(np.array((0, down), dtype=default_scalar_type), dofs, V))
+    contact = Contact(*scene.sides)
+    problem = ContactProblem(scene.F, scene.u, bcs=bcs, contacts=[contact])
+    problem.solve()
+    assert not contact.active.any()
 
 
 @two_ranks()

@@ -255,8 +255,10 @@ def boxes(together):
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("upper", (1.0, 1e7))
-def test_parts_of_one_mesh(upper):
+@pytest.mark.parametrize(
+    ("upper", "solver"), ((1.0, "direct"), (1e7, "direct"), (1e4, "iterative"))
+)
+def test_parts_of_one_mesh(upper, solver):
     """Two parts of one mesh press, stick and slip as two meshes do."""
     found = []
     for together in (False, True):
@@ -284,10 +286,11 @@ def test_parts_of_one_mesh(upper):
             )
         ]
         contact = Contact(side(1, 1.05), side(0, 1), friction=0.3)
-        problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+        problem = ContactProblem(F, u, bcs=bcs, contacts=[contact], solver=solver)
         for goal in ((0, 0, -0.08), (0.08, 0.03, -0.1)):
             moved.value[:] = goal
             problem.solve()
+            assert problem.solver_name == solver
         order = np.lexsort(contact.surfaces[1].x.round(6).T)
         slips = contact.slips(problem)[order]
         found.append((slips, contact.pressures(problem)[order], problem.iterations))
