@@ -305,7 +305,7 @@ class Hierarchy:
         pc.setMGInterpolation(num - 1, interpolation)
         interpolation.destroy()
         database, name = PETSc.Options(), f"{pc.getOptionsPrefix()}mg_levels_{num - 1}_pc_type"
-        given = database.getString(name, "")
+        given = database.getAll().get(name)  # getString finds that of all levels, too
         database[name] = PETSc.PC.Type.PYTHON
         try:
             self._set_up(pc, levels[0], num - 1, limited)

@@ -286,7 +286,7 @@ def test_contrasts_body_by_body():
 def test_iterations_beside_one_body(flip):
     """A tie of two blocks takes about as many as each block alone: smoothing holds the tie."""
     blocks = [(6, 0.0), (9, 1.0)]
-    its = []
+    its, options = [], PETSc.Options().getAll()
     for some in ([blocks[0]], blocks):
         V, sides, a, L, bcs = [], [], [], [], []
         for n, low in some:
@@ -306,6 +306,7 @@ def test_iterations_beside_one_body(flip):
         problem.solve()
         its.append(problem.iterations)
     assert its[1] <= its[0] + 4, str(its)  # 17 and 14, 21 with springs
+    assert PETSc.Options().getAll() == options
 
 
 @pytest.mark.ranks(2, num=sweep([(6, 3), (15, 14)], 2), flip=[False])
