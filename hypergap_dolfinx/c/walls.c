@@ -216,8 +216,7 @@ static double wall_of(const Sorted *sorted, const double *x, const double *norma
     const double *corners = corners_of(surface, 0, place->simplex);
     normal_of(n, corners, 0, own);
     double along = dot(way, own), high = height_over(corners, x, own);
-    int counts = along > NEARLY_ZERO * sqrt(dot(way, way) * dot(own, own)) && // not parallel
-                 high > NEARLY_ZERO * along && high <= along;
+    int counts = along > 0 && high > NEARLY_ZERO * along && high <= along;
     for (int k = 0; beside >= 0 && k < n * n; ++k)
       counts &= surface->vertices[n * place->simplex + k / n] != surface->vertices[n * beside + k % n];
     if (!counts || high / along >= found)
