@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from hypergap_dolfinx.core.collective import look_up
-from hypergap_dolfinx.core.graph import parts
+from hypergap_dolfinx.core.graph import parts, parts_at
 from hypergap_dolfinx.core.sparse import row_length
 from hypergap_dolfinx.surface.component import Component, unrolled
 from hypergap_dolfinx.surface.moving import MovingSurface
@@ -86,8 +85,7 @@ class DisplacementField:
         comm.Allreduce(MPI.IN_PLACE, sums)
         meant = sums[1] > 0
         if nodes is not None and num_parts > 1:
-            start = self.part.space.dofmap.index_map.local_range[0]
-            meant &= np.isin(np.arange(num_parts), look_up(comm, part[:, None], start, nodes))
+            meant &= np.isin(np.arange(num_parts), list(parts_at(self.part.space, part, nodes)))
         return float((sums[0] / np.maximum(sums[1], 1))[meant].min(initial=np.inf))
 
     def of_slopes(self, K: PETSc.Mat, side: MovingSurface) -> npt.NDArray[np.float64]:

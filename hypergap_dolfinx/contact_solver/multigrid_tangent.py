@@ -96,11 +96,6 @@ def _negative(matrix: Sparse) -> Sparse:
     return Sparse(matrix.i, matrix.j, -matrix.values)
 
 
-def _times(matrix: Sparse, x: Array) -> Array:
-    """A square matrix times values."""
-    return np.bincount(matrix.i, matrix.values * x[matrix.j], len(x))
-
-
 def _column(values: Array) -> Sparse:
     """Values as a matrix of one column."""
     at = np.flatnonzero(values)
@@ -344,7 +339,7 @@ class MultigridTangent:
         loads, tied, rest = np.split(flat, (self._num_dofs, self._starts[0]))
         parts = np.split(rest, self._starts[1:] - self._starts[0])
         c = np.concatenate([rows.gathered(b) for rows, b in zip(self._rows, parts, strict=True)])
-        c = _times(now.directions.T, c)
+        c = now.directions.T.times((c,), len(c))
         c = c if alone else c + now.moved
         slipping = now.forces.T @ _column(now.inverse * c)
         loads = loads - self._of_rank(slipping)
@@ -394,8 +389,8 @@ class MultigridTangent:
         both = np.stack((f, moves))
         self._comm.Allreduce(MPI.IN_PLACE, both)
         f, moves = both
-        other = c - moves - _times(now.by_held, f)
-        f = _times(now.directions, f + now.inverse * other)
+        other = c - moves - now.by_held.times((f,), num)
+        f = now.directions.times((f + now.inverse * other,), num)
         return [f[a + rows.mine] for a, rows in zip(self._first, self._rows)]
 
     def _of_rank(self, column: Sparse) -> Array:
@@ -470,7 +465,7 @@ class MultigridTangent:
             slopes.some(~held[slopes.i]),
             own.some(~held[own.i] & held[own.j]),
             np.where(held, 0, 1 / np.where(held, 1, diagonal)),
-            np.where(held, -diagonal * _times(directions.T, present), 0),
+            np.where(held, -diagonal * directions.T.times((present,), num), 0),
             directions,
         )
 

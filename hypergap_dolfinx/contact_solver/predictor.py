@@ -18,7 +18,7 @@ from dolfinx import fem
 from hypergap_dolfinx.algebra.floating import FreeMotions
 from hypergap_dolfinx.contact_solver.contact_rows import ContactRows
 from hypergap_dolfinx.contact_solver.tolerances import HOLDS
-from hypergap_dolfinx.core.collective import look_up
+from hypergap_dolfinx.core.graph import parts_at
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,8 @@ class PartsMotion:
             V: The body's space.
             nodes: Their global numbers, the same on every rank.
         """
-        start = V.dofmap.index_map.local_range[0]
-        found = np.unique(look_up(V.mesh.comm, self.part[:, None], start, nodes))
-        return self.of_parts[found[0]] if len(found) == 1 else None
+        found = parts_at(V, self.part, nodes)
+        return self.of_parts[min(found)] if len(found) == 1 else None
 
 
 def leading(

@@ -74,6 +74,21 @@ def parts(V: fem.FunctionSpace) -> tuple[npt.NDArray[np.int32], int]:
     return (part, num_parts) if num_parts <= MANY_PARTS else (np.zeros_like(part), 1)
 
 
+def parts_at(
+    V: fem.FunctionSpace, part: npt.NDArray[np.int32], dofs: npt.NDArray[np.int64]
+) -> frozenset[int]:
+    """The :func:`parts` that have some dofs. Collective.
+
+    Args:
+        V: A Lagrange space.
+        part: Part of each of this rank's nodes, ``(num_owned,)``.
+        dofs: Global dofs (blocks), the same on every rank.
+    """
+    start, end = V.dofmap.index_map.local_range
+    mine = np.unique(part[dofs[(dofs >= start) & (dofs < end)] - start])
+    return frozenset(np.concatenate(V.mesh.comm.allgather(mine)).tolist())
+
+
 class PartsOf:
     """Connected parts that sides of ties belong to, found once for each space."""
 
@@ -93,9 +108,7 @@ class PartsOf:
         _, part, num_parts = self._known[id(V)]
         if num_parts == 1:
             return frozenset({0})
-        start, end = V.dofmap.index_map.local_range
-        mine = np.unique(part[dofs[(dofs >= start) & (dofs < end)] - start])
-        return frozenset(np.concatenate(V.mesh.comm.allgather(mine)).tolist())
+        return parts_at(V, part, dofs)
 
 
 def row_codes(rows: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
