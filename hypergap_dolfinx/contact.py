@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from hypergap_dolfinx.algebra import revolution
 from hypergap_dolfinx.algebra.checks import label
 from hypergap_dolfinx.algebra.rigid_motions import moment
@@ -32,6 +33,7 @@ from hypergap_dolfinx.contact_solver.contact_rows import (
 from hypergap_dolfinx.contact_solver.friction_rows import FrictionRows
 from hypergap_dolfinx.core.collective import raise_on_all, spot
 from hypergap_dolfinx.core.forms import thickness
+from hypergap_dolfinx.core.graph import parts_with
 from hypergap_dolfinx.errors import InterfaceError
 from hypergap_dolfinx.gap_mesh.strip import turns
 from hypergap_dolfinx.interface_laws.given_values import Settable, as_moduli, as_numbers
@@ -191,7 +193,10 @@ class Contact(Settable):
         self._split = below.gdim == 2 and below.element.degree == above.element.degree == 2
         self._surfaces = (below.arcs, above.arcs.split) if self._split else (below, above)
         itself = self._is_itself(side0, side1)
-        thickness = min(_thickness(*pair) for pair in zip(self._spaces, self._surfaces))
+        thickness = min(
+            _thickness(parts_with(V, facets), surface)
+            for V, facets, surface in zip(self._spaces, self._facets, self._surfaces, strict=True)
+        )
         self._friction = friction_of(friction, elastic_slip, shear_limit, *side1, self._split)
         self._compliance = (
             None
@@ -861,7 +866,7 @@ def _size(surface: Surface) -> float:
     return float(np.median(surface.size))
 
 
-def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
+def _thickness(body: Mesh, surface: Surface) -> float:
     """Extent of a body along the mean normal of its surface, at most its thickness. Collective.
 
     For closed surfaces, without a mean normal, the smallest extent along the axes.
@@ -871,10 +876,10 @@ def _thickness(V: fem.FunctionSpace, surface: Surface) -> float:
     mean = (size[:, None] * surface.normals).sum(axis=0) / size.sum()
     along = mean[None] if np.linalg.norm(mean) > CLOSED_NORMAL else np.eye(n)
     along /= np.linalg.norm(along, axis=1)[:, None]
-    x = V.mesh.geometry.x[:, :n] @ along.T
-    ends = V.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
+    x = body.geometry.x[:, :n] @ along.T
+    ends = body.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(part) for part in zip(*ends, strict=True))
-    return float(min((high.max(axis=0) - low.min(axis=0)).min(), thickness(V.mesh)))
+    return float(min((high.max(axis=0) - low.min(axis=0)).min(), thickness(body)))
 
 
 def _has_corners(surface: Surface, other: Surface) -> bool:

@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem, la
+from dolfinx import fem, la, mesh
 from hypergap_dolfinx.core.tolerances import MANY_PARTS
 
 
@@ -87,6 +87,26 @@ def parts_at(
     start, end = V.dofmap.index_map.local_range
     mine = np.unique(part[dofs[(dofs >= start) & (dofs < end)] - start])
     return frozenset(np.concatenate(V.mesh.comm.allgather(mine)).tolist())
+
+
+def parts_with(V: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> mesh.Mesh:
+    """The connected parts of a mesh that have some facets, as a mesh. Collective.
+
+    Args:
+        V: A Lagrange space on it.
+        facets: Local indices of the facets.
+    """
+    whole, (part, num_parts) = V.mesh, connected(V)
+    if num_parts == 1:
+        return whole
+    tdim = whole.topology.dim
+    whole.topology.create_connectivity(tdim - 1, tdim)
+    of_cell = part[V.dofmap.list[: whole.topology.index_map(tdim).size_local, 0]]
+    cells = mesh.compute_incident_entities(whole.topology, facets, tdim - 1, tdim)
+    mine = np.unique(part[V.dofmap.list[cells, 0]])
+    meant = np.concatenate(whole.comm.allgather(mine))
+    meant = np.flatnonzero(np.isin(of_cell, meant)).astype(np.int32)
+    return mesh.create_submesh(whole, tdim, meant)[0]
 
 
 class PartsOf:

@@ -293,12 +293,14 @@ def test_parts_of_one_mesh(upper, solver):
             assert problem.solver_name == solver
         order = np.lexsort(contact.surfaces[1].x.round(6).T)
         slips = contact.slips(problem)[order]
-        found.append((slips, contact.pressures(problem)[order], problem.iterations))
-    slips, pressures, num = zip(*found, strict=True)
+        pressures, depth = contact.pressures(problem)[order], contact.geometry.depth
+        found.append((slips, pressures, problem.iterations, depth))
+    slips, pressures, num, depth = zip(*found, strict=True)
     assert abs(slips[0]).max() > 0.01
     np.testing.assert_allclose(slips[1], slips[0], atol=1e-8)
     np.testing.assert_allclose(pressures[1], pressures[0], atol=1e-6 * pressures[0].max())
     assert num[1] <= num[0] + 1
+    np.testing.assert_allclose(depth[1], depth[0])
 
 
 @pytest.mark.ranks(2)
