@@ -440,11 +440,10 @@ class Contact(Settable):
         rows = self._solved_rows(problem)
         if self._where(on, "surface") == "surface":
             found = SurfacePressure.of(self._state(problem, rows))
-            return self._drawn(found, rows, "pressure")
+            return self._on_surface(rows, found, "pressure")
         if on == "body":
             return self._at_vertices(self.pressures(problem), "pressure")
-        cells = self._opening(rows).cells(rows.at, rows.pressures)
-        return on_sigma(self._comm, cells, "pressure")
+        return self._on_sigma(rows, rows.pressures, "pressure")
 
     def shears(self, problem) -> npt.NDArray[np.float64]:
         """Friction tractions on Γ1's body at its vertices, averaged as :meth:`pressures`.
@@ -485,11 +484,10 @@ class Contact(Settable):
         """
         rows = self._friction_rows(self._solved_rows(problem))
         if self._where(on, "surface") == "surface":
-            return self._drawn(self._surface_shear(problem, rows), rows, "shear")
+            return self._on_surface(rows, self._surface_shear(problem, rows), "shear")
         if on == "body":
             return self._at_vertices(self.shears(problem), "shear")
-        cells = self._opening(rows).cells(rows.at, rows.shears)
-        return on_sigma(self._comm, cells, "shear", cells.pressure)
+        return self._on_sigma(rows, rows.shears, "shear")
 
     def slips(self, problem) -> npt.NDArray[np.float64]:
         """Slip of Γ1 on Γ0 in the last :meth:`ContactProblem.solve`, at Γ1's vertices.
@@ -571,7 +569,8 @@ class Contact(Settable):
         if on_body:
             distance = np.divide(rows.g, rows.m, out=np.zeros_like(rows.g), where=rows.m > 0)
             return self._at_vertices(rows.spread(distance), "gap")
-        return on_sigma(self._comm, opening.cells(rows.u, 0 * rows.g), "gap")
+        columns, owner = opening.columns(rows.u), rows.sides[1].reference.owner
+        return on_sigma(self._comm, columns, owner, columns.gap, "gap")
 
     def _rows_at(self, u0: fem.Function, u1: fem.Function) -> ContactRows:
         """Rows outside of a problem. Collective."""
@@ -633,9 +632,10 @@ class Contact(Settable):
         side, n = rows.sides[1], self._surfaces[1].gdim
         forces = np.zeros(sum(len(part.dofs) for part in rows.sides) * n)
         np.add.at(forces, rows.C.j, rows.C.values * p[rows.C.i])
-        smoothed, opening = np.zeros(len(p)), rows.state.opening
+        smoothed, covered, opening = np.zeros(len(p)), True, rows.state.opening
         if opening is not None:
             smoothed = opening.smoothed(rows.at, opening.pressures(rows.at, rows.spread(p)))
+            covered = opening.columns(rows.at).cover(self._surfaces[1])
         return ContactState(
             side,
             side.displaced(rows.at[1]),
@@ -644,12 +644,39 @@ class Contact(Settable):
             exists,
             gaps,
             forces.reshape(-1, n)[len(rows.sides[0].dofs) :],
+            covered=covered,
         )
 
-    def _drawn(self, found, rows: ContactRows, name: str) -> fem.Function:
-        """Pressure or shear as a function on cells of the displaced Γ1."""
+    def _on_sigma(self, rows: ContactRows, values, name: str) -> fem.Function:
+        """Pressures or tractions of vertices as a function on Σ."""
+        columns = self._opening(rows).columns(rows.at)
+        owner = rows.sides[1].reference.owner
+        return on_sigma(self._comm, columns, owner, columns.of(values).mean(axis=1), name)
+
+    def _on_surface(self, rows: ContactRows, found, name: str) -> fem.Function:
+        """Pressure or shear as a function on cells of the displaced Γ1.
+
+        Away from free edges those of facets that Γ0 covers in part are on that part.
+        """
         surface = rows.sides[1].displaced(rows.u[1])
-        return on_surface(self._comm, surface, found.cells(), found.on, name)
+        n, on = surface.gdim, np.zeros(len(surface.facets), dtype=bool)
+        parts, values = [], found.at_vertices
+        if rows.state.opening is not None:
+            columns = rows.state.opening.columns(rows.at)
+            loaded = values.astype(bool).reshape(len(values), -1).any(axis=1)
+            on = loaded[surface.facets].any(axis=1) & ~found.near & ~columns.cover(surface)
+            columns = columns.on_some(on)
+            parts.append((columns.facets, columns.X, columns.of(values)))
+            facets, X = columns.left(surface, np.flatnonzero(on))
+            parts.append((facets, X, np.zeros((len(facets), n, *values.shape[1:]))))
+        for facets, corners in found.cells():
+            facets, num = facets[~on[facets]], len(corners)
+            drawn = found.on(facets, corners.reshape(-1, n - 1))
+            X = np.tile(corners, (len(facets), 1, 1))
+            drawn = drawn.reshape(-1, n, *values.shape[1:])
+            parts.append((np.repeat(facets, num), X, drawn))
+        facets, X, drawn = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return on_surface(self._comm, surface, facets, X, drawn, name)
 
     def _opening(self, rows: ContactRows) -> Segments:
         if rows.state.opening is None:

@@ -646,13 +646,13 @@ int find_reaches(const Sigma *sigma, const double *p, const double *least, doubl
   {
     const Point *point = sigma->points + n;
     const int *vertices = sigma->sides[1].vertices + 2 * point->edge;
-    double x[4][2];
+    double x[4][2], at[2];
     if (point->is_first)
     {
       int v = vertices[point->part > 0];
-      find_column(sigma, point, x[0]);
-      double apart = larger(hypot(x[3][0] - x[0][0], x[3][1] - x[0][1]),
-                            hypot(x[2][0] - x[1][0], x[2][1] - x[1][1]));
+      find_column(sigma, point, x[0], at);
+      double apart = larger(hypot(x[2][0] - x[0][0], x[2][1] - x[0][1]),
+                            hypot(x[3][0] - x[1][0], x[3][1] - x[1][1]));
       if (apart > least[v])
       {
         far[v] = larger(apart, far[v]);

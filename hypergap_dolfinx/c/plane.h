@@ -89,7 +89,7 @@ typedef struct {
 } Entries;
 
 int cast_rays(Sigma *sigma);
-void find_columns(const Sigma *sigma, double *x, int *shown);
+void find_columns(const Sigma *sigma, double *x, double *at, int *shown);
 int find_gaps(const Sigma *sigma, double *g, double *covered, double *areas, Entries *C,
               Entries *by_covered, Entries *T);
 int find_reaches(const Sigma *sigma, const double *p, const double *least, double *found);

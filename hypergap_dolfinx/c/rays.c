@@ -673,8 +673,9 @@ int cast_rays(Sigma *sigma)
 
 // The column between both sides of a point's piece of an edge of Γ1.
 //
-// x  ends of the piece, and those of what lies opposite in opposite order, (4, 2)
-void find_column(const Sigma *sigma, const Point *point, double *x)
+// x   ends of the piece, and of what lies opposite, (2, 2, 2)
+// at  places of the ends along the edge, (2,)
+void find_column(const Sigma *sigma, const Point *point, double *x, double *at)
 {
   const Side *sides = sigma->sides;
   const Sheet *sheet = sigma->sheets + point->first + point->num - 1;
@@ -692,20 +693,22 @@ void find_column(const Sigma *sigma, const Point *point, double *x)
     Curve x1 = curve_at(sides + 1, point->edge, s, (double[]){0, 0});
     Curve x0 = curve_at(sides, sheet->edge, r, (double[]){0, 0});
     memcpy(x + 2 * e, x1.x[0], sizeof(x1.x[0]));
-    memcpy(x + 6 - 2 * e, x0.x[0], sizeof(x0.x[0]));
+    memcpy(x + 4 + 2 * e, x0.x[0], sizeof(x0.x[0]));
+    at[e] = s;
   }
 }
 
 // Columns of all points, to look at.
 //
-// x       (num_points, 4, 2)
+// x       (num_points, 2, 2, 2)
+// at      (num_points, 2)
 // shown   whether a point has one, (num_points)
-void find_columns(const Sigma *sigma, double *x, int *shown)
+void find_columns(const Sigma *sigma, double *x, double *at, int *shown)
 {
   for (int p = 0; p < sigma->num_points; ++p)
   {
     shown[p] = sigma->points[p].is_first;
-    find_column(sigma, sigma->points + p, x + 8 * p);
+    find_column(sigma, sigma->points + p, x + 8 * p, at + 2 * p);
   }
 }
 

@@ -53,7 +53,7 @@ static inline int beside_of(const Side *side, int edge, int end)
 
 Curve curve_at(const Side *side, int edge, double s, const double *origin);
 const double *position(const Side *side, int vertex);
-void find_column(const Sigma *sigma, const Point *point, double *x);
+void find_column(const Sigma *sigma, const Point *point, double *x, double *at);
 double depth_in(const Sigma *sigma, int side, const double *x);
 
 #endif

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry import rays
-from hypergap_dolfinx.contact_geometry.opened import OpenCells
+from hypergap_dolfinx.contact_geometry.opened import Columns
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.gap_mesh.tolerances import END
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
-from hypergap_dolfinx.surface.trace import Surface, lengths
+from hypergap_dolfinx.surface.trace import Surface
 
 
 @dataclass(frozen=True)
@@ -102,21 +102,8 @@ class PlaneSegments(Segments):
         return super().slip(u, target)
 
     @override
-    def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        gaps = self._at(u)
-        x, halves = gaps.rays.columns()
-        a, b, c, d = np.moveaxis(x, 1, 0)
-        width, up = b - a, (c + d - a - b) / 2
-        size = lengths(width)
-        height = (up[:, 0] * width[:, 1] - up[:, 1] * width[:, 0]) / np.where(size > 0, size, 1)
-        p = p[gaps.facets.ravel()[halves]]
-        owner = self.sides[1].reference.owner[halves // 2]
-        return OpenCells(
-            x=np.concatenate((np.stack((a, b, c), axis=1), np.stack((a, c, d), axis=1))),
-            rank=np.tile(owner, 2).astype(np.int32),
-            gap=np.tile(height, 2),
-            pressure=np.concatenate((p, p)),
-        )
+    def columns(self, u: Displacements) -> Columns:
+        return self._at(u).rays.columns()
 
 
 def _end_at(surface: Surface, vertex: int) -> tuple[int, int]:

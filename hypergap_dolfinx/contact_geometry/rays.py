@@ -73,6 +73,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.contact_geometry.opened import Columns
 from hypergap_dolfinx.contact_geometry.protocol import check
 from hypergap_dolfinx.contact_geometry.tolerances import (
     COSINES,
@@ -164,18 +165,20 @@ class PlaneRays:
         given = self.sigma, doubles(q[0, self.facets])
         return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
-    def columns(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
-        """Quadrilaterals between both sides, for plots.
-
-        Returns:
-            Their corners, two on Γ1 and two on Γ0, ``(num, 4, 2)``, and the halves of Γ1's edges
-            to which they belong, ``(num,)``.
-        """
-        x, shown = np.empty((len(self.points), 4, 2)), np.empty(len(self.points), np.int32)
-        call("find_columns", self.sigma, x, shown)
+    def columns(self) -> Columns:
+        """As :meth:`Segments.columns`."""
+        x = np.empty((len(self.points), 2, 2, 2))
+        X, shown = np.empty((len(self.points), 2, 1)), np.empty(len(self.points), np.int32)
+        call("find_columns", self.sigma, x, X, shown)
         on = shown > 0
-        halves = 2 * self.points["edge"] + self.points["part"].clip(max=1)
-        return x[on], halves[on].astype(np.intp)
+        x, edges = x[on], self.points["edge"][on].astype(np.intp)
+        width, up = x[:, 0, 1] - x[:, 0, 0], np.diff(x.mean(axis=2), axis=1)[:, 0]
+        size = lengths(width)
+        height = (up[:, 0] * width[:, 1] - up[:, 1] * width[:, 0]) / np.where(size > 0, size, 1)
+        first, last = self.sigma.shared
+        share = ((self.points["places"][on] - first) / (last - first)).clip(0, 1)
+        shares = np.stack((1 - share, share), axis=2)
+        return Columns(x, edges, X[on], self.facets[edges], shares, height)
 
     def reaches(self, p, least) -> npt.NDArray[np.float64]:
         """As :meth:`Segments.reaches`, from pressures of vertices, and least lengths."""

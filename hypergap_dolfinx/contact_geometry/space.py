@@ -29,7 +29,7 @@ from hypergap_dolfinx.contact_geometry.heights import (
     merged,
 )
 from hypergap_dolfinx.contact_geometry.moments import degree_of, rule
-from hypergap_dolfinx.contact_geometry.opened import OpenCells
+from hypergap_dolfinx.contact_geometry.opened import Columns
 from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
@@ -353,27 +353,23 @@ class SpaceSegments(Segments):
         return found
 
     @override
-    def cells(self, u: Displacements, p: npt.NDArray[np.float64]) -> OpenCells:
-        # Three tetrahedra for each triangle of a piece
-        gaps = self._at(u)
-        columns = gaps.rays
-        pieces, surfaces = columns.shown[0], columns.frames.surfaces
+    def columns(self, u: Displacements) -> Columns:
+        found = self._at(u).rays
+        (pieces, heights), surfaces = found.shown, found.frames.surfaces
         piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
         facets = tuple(facet[piece] for facet in pieces.facets)
-        ends = []
-        for at in (0 * corner, corner + 1, corner + 2):
-            X = pieces.X[piece, at]
-            xi = cast(columns.frames, facets, X).xi
-            ends.append([s.points(f, x) for s, f, x in zip(surfaces, facets, (xi, X), strict=True)])
-        prism = np.stack([x for side in (1, 0) for x in (end[side] for end in ends)], axis=1)
-        x = prism[:, [[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]]].reshape(-1, 4, 3)
-        cell = np.repeat(piece, 3)
-        vertex = columns.facets[pieces.facets[1], pieces.part]
-        return OpenCells(
-            x=x,
-            rank=surfaces[1].owner[pieces.facets[1][cell]],
-            gap=columns.shown[1][cell],
-            pressure=p[vertex[cell]],
+        X = pieces.X[piece[:, None], np.stack((0 * corner, corner + 1, corner + 2), axis=1)]
+        every, flat = tuple(np.repeat(facet, 3) for facet in facets), X.reshape(-1, 2)
+        below = cast(found.frames, every, flat).xi
+        x = [s.points(f, at) for s, f, at in zip(surfaces, every, (below, flat), strict=True)]
+        vertices = found.facets[facets[1], pieces.part[piece]]
+        return Columns(
+            x=np.stack(x[::-1]).reshape(2, -1, 3, 3).swapaxes(0, 1),
+            facets=facets[1],
+            X=X,
+            vertices=vertices[:, None],
+            shares=np.ones((len(piece), 3, 1)),
+            gap=heights[piece],
         )
 
 

@@ -24,11 +24,12 @@ facets aren't linear, in the plane and in space, gaps themselves say what s is a
 vertices (:class:`_Opening`). Elsewhere p is linear between vertices.
 
 An edge of contact is free where an active vertex has a neighbour that is open, as others beside
-that are, and lies opposite Γ0, and where pressure falls towards it. At corners it rises (it is
-singular there); where a surface ends nothing is open beside it: neither has a root. At vertices it
-may rise towards an edge of a smooth profile, too: where gaps say what s is, and aren't larger
-beyond than those of a root that ends at the last active vertex, the edge is free. Nor has a part a
-root of which all active vertices are at the edge: two numbers can't be told from one force.
+that are, and lies opposite Γ0 with all that is between, and where pressure falls towards it. At
+corners it rises (it is singular there); where a surface ends nothing is open beside it: neither has
+a root. At vertices it may rise towards an edge of a smooth profile, too: where gaps say what s is,
+and aren't larger beyond than those of a root that ends at the last active vertex, the edge is free.
+Nor has a part a root of which all active vertices are at the edge: two numbers can't be told from
+one force.
 """
 
 from collections.abc import Sequence
@@ -77,6 +78,8 @@ class ContactState:
     """Forces of the pressures at :attr:`side`'s dofs, ``(num_dofs, n)``."""
     compliance: float = 0.0
     """1/E*: of half-spaces of both bodies' materials in plane strain; 0 if it isn't known."""
+    covered: Mask | bool = True
+    """Facets that lie opposite Γ0 with all that they have, ``(num_facets,)``; True: all do."""
 
     @cached_property
     def vertices(self) -> npt.NDArray[np.intp]:
@@ -117,6 +120,11 @@ class SurfacePressure:
             s = fit.solve(s)
             near[fit.facets] = fit.is_met(s, missed)
         return cls(state.surface, state.p, s, near, steep)
+
+    @property
+    def at_vertices(self) -> Floats:
+        """At vertices, but for what free edges change, ``(num_vertices,)``."""
+        return self.p
 
     def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
         """Pressures at the same reference points X of some facets, ``(num_facets, num_points)``."""
@@ -177,6 +185,16 @@ class SurfaceShear:
     """Unit direction t of slip, ``(num_vertices, n)``, 0 far from what slips."""
     margin: SurfacePressure
     """r."""
+
+    @property
+    def at_vertices(self) -> Floats:
+        """At vertices, but for what free edges change, ``(num_vertices, n)``."""
+        return self.q
+
+    @property
+    def near(self) -> Mask:
+        """Facets near free edges, ``(num_facets,)``."""
+        return self.pressure.near | self.margin.near
 
     def on(self, facets: npt.NDArray[np.intp], X: Floats) -> Floats:
         """Tractions at the same reference points X, ``(num_facets, num_points, n)``."""
@@ -301,7 +319,7 @@ def _near_free_edges(state: ContactState, smooth: Mask | None = None) -> tuple[M
     on = active[facets]
     apart = np.zeros(len(active), dtype=bool)  # not only a hole of one vertex in the contact
     apart[facets[~on.any(axis=1)]] = True
-    ends = on.any(axis=1) & (state.exists & apart)[facets].any(axis=1)
+    ends = on.any(axis=1) & (state.exists & apart)[facets].any(axis=1) & state.covered
     last = np.zeros(len(active), dtype=bool)
     last[facets[ends]] = True
     last &= active

@@ -20,7 +20,7 @@ from test_contact_scenes import press_punch
 import meshes
 import ufl
 from dolfinx import default_scalar_type, fem, la
-from dolfinx.mesh import CellType, create_box, locate_entities_boundary
+from dolfinx.mesh import CellType, create_box, create_rectangle, locate_entities_boundary
 from hypergap_dolfinx import Contact, ContactProblem
 from hypergap_dolfinx.contact_geometry.plane import PlaneSegments
 from hypergap_dolfinx.mortar.free_edges import (
@@ -450,12 +450,54 @@ def test_hertz(degree, bound):
 
 @pytest.mark.parametrize("wide", (False, True))
 def test_punch_without_root(wide):
-    """Pressure is singular at its corners: as at vertices, linear between."""
-    contact, problem, _ = press_punch(0.3, wide)
+    """Pressure is singular at its corners: as at vertices, linear between; it ends with Γ0."""
+    contact, problem, force = press_punch(0.3, wide)
     p = contact.pressure(problem, on="surface")
+    assert abs(integral(p) / force - 1) <= 1e-5
     mesh, found = p.function_space.mesh, contact.pressures(problem)
-    assert mesh.topology.index_map(1).size_global == len(contact.surfaces[1].facets)
-    assert abs(p.x.array.max(initial=0) / found.max() - 1) <= 1e-14
+    cells = mesh.topology.index_map(1).size_global
+    assert (cells == len(contact.surfaces[1].facets)) is not wide
+    assert wide or abs(p.x.array.max(initial=0) / found.max() - 1) <= 1e-14
+
+
+@pytest.mark.ranks(2, kinds=[("triangle", "quadrilateral"), ("tetrahedron", "hexahedron")])
+@pytest.mark.parametrize("degree", (1, 2))
+@pytest.mark.parametrize(
+    "kinds",
+    (("triangle", "quadrilateral"), ("tetrahedron", "hexahedron"), ("hexahedron", "tetrahedron")),
+)
+def test_surface_that_ends_within_facets(kinds, degree):
+    """Integrals of pressure and shear are the force: Γ0 covers facets in part, none of some."""
+    n = 2 + (kinds[0] not in ("triangle", "quadrilateral"))
+    u, F, bcs, sides = [], [], [], []
+    for i, (low, high, num) in enumerate(
+        (((0, 0, 0), (3, 3, 1), 4), ((0.9, 0.9, 1), (2, 2, 2), 2))
+    ):
+        corners = [np.array(x)[-n:] for x in (low, high)]
+        create = create_rectangle if n == 2 else create_box
+        kind = CellType[kinds[i]]
+        mesh = create(comm, corners, [num] * (n - 1) + [2 if i else 1], kind)
+        V = fem.functionspace(mesh, ("Lagrange", degree, (n,)))
+        body = Elastic.on(V)
+        u.append(body.u)
+        F.append(body.F)
+        touching, away = (
+            locate_entities_boundary(mesh, n - 1, lambda x, z=z: np.isclose(x[n - 1], z))
+            for z in (1, 2 * i)
+        )
+        moved = fem.Constant(mesh, default_scalar_type((0,) * n))
+        bcs.append(fem.dirichletbc(moved, fem.locate_dofs_topological(V, n - 1, away), V))
+        sides.append((V, touching))
+    contact = Contact(*sides[::-1], friction=0.2, sliding="small")
+    problem = ContactProblem(F, u, bcs=bcs, contacts=[contact])
+    moved.value[-1], moved.value[0] = -2e-6, 1e-6  # so that displaced areas are as they were
+    problem.solve()
+    force = contact.force(problem, on=u[1])
+    p, q = (get(problem, on="surface") for get in (contact.pressure, contact.shear))
+    assert abs(integral(p) / force[-1] - 1) <= 1e-6
+    assert abs(integral(q[0]) / force[0] + 1) <= 1e-6
+    area = integral(fem.Constant(p.function_space.mesh, default_scalar_type(1)))
+    assert abs(area / 3 ** (n - 1) - 1) <= 1e-6
 
 
 def test_flat_surfaces():
