@@ -299,6 +299,8 @@ def _prepared(
     steep = rooted[state.surface.facets].any(axis=1)
     mean, part = _parts(state, steep)
     falls = np.isin(part, part[state.vertices[inner]])
+    cut = steep & ~np.asarray(state.covered) & (state.p[state.surface.facets] > 0).any(axis=1)
+    falls &= ~np.isin(part, part[state.side.at_facets[cut]])  # forces are no integrals over facets
     rooted &= (falls & (mean > 0))[state.vertices]  # not in a part that touches without load
     near = rooted[state.surface.facets].any(axis=1)
     return rising, steep, _RootFit(state, rooted, near, mean, part) if rooted.any() else None
