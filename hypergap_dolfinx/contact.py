@@ -630,7 +630,8 @@ class Contact(Settable):
         side, n = rows.sides[1], self._surfaces[1].gdim
         forces = np.zeros(sum(len(part.dofs) for part in rows.sides) * n)
         np.add.at(forces, rows.C.j, rows.C.values * p[rows.C.i])
-        smoothed, covered, opening = np.zeros(len(p)), True, rows.state.opening
+        smoothed, opening = np.zeros(len(p)), rows.state.opening
+        covered: npt.NDArray[np.bool_] | bool = True
         if opening is not None:
             smoothed = opening.smoothed(rows.at, opening.pressures(rows.at, rows.spread(p)))
             covered = opening.columns(rows.at).cover(self._surfaces[1])
