@@ -649,12 +649,14 @@ int find_reaches(const Sigma *sigma, const double *p, const double *least, doubl
     double x[4][2], at[2];
     if (point->is_first)
     {
-      int v = vertices[point->part > 0];
       find_column(sigma, point, x[0], at);
       double apart = larger(hypot(x[2][0] - x[0][0], x[2][1] - x[0][1]),
                             hypot(x[3][0] - x[1][0], x[3][1] - x[1][1]));
-      if (apart > least[v])
+      for (int e = point->part == 1; e <= (point->part > 0); ++e)
       {
+        int v = vertices[e];
+        if (apart <= least[v])
+          continue;
         far[v] = larger(apart, far[v]);
         for (int k = 0; k < 4; ++k)
           deep[v] = larger(depth_in(sigma, k > 1, x[k]), deep[v]);
