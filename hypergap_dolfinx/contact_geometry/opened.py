@@ -20,7 +20,7 @@ from hypergap_dolfinx.surface.trace import Surface
 
 
 @dataclass(frozen=True)
-class Columns:
+class OpenColumns:
     """Σ where the bodies are: a prism on each simplex of Γ1's facets; the same on every rank."""
 
     x: npt.NDArray[np.float64]
@@ -44,9 +44,9 @@ class Columns:
         """
         return np.einsum("cks,cs...->ck...", self.shares, values[self.vertices])
 
-    def on_some(self, facets: npt.NDArray[np.bool_]) -> "Columns":
+    def on_some(self, facets: npt.NDArray[np.bool_]) -> "OpenColumns":
         """Those on some facets, given by a mask."""
-        return Columns(**{name: part[facets[self.facets]] for name, part in vars(self).items()})
+        return OpenColumns(**{name: part[facets[self.facets]] for name, part in vars(self).items()})
 
     def cover(self, surface: Surface) -> npt.NDArray[np.bool_]:
         """Mask of Γ1's facets of which all lies opposite Γ0, ``(num_facets,)``."""
@@ -114,7 +114,7 @@ def _where_positive(part: npt.NDArray[np.float64], height) -> npt.NDArray[np.flo
 
 
 def on_sigma(
-    comm: MPI.Comm, columns: Columns, owner: npt.NDArray[np.integer], values, name: str
+    comm: MPI.Comm, columns: OpenColumns, owner: npt.NDArray[np.integer], values, name: str
 ) -> fem.Function:
     """Values as a function on Σ, constant in each cell. Collective.
 

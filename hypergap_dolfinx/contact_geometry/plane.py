@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry import rays
-from hypergap_dolfinx.contact_geometry.opened import Columns
+from hypergap_dolfinx.contact_geometry.opened import OpenColumns
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.gap_mesh.tolerances import END
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
@@ -102,7 +102,7 @@ class PlaneSegments(Segments):
         return super().slip(u, target)
 
     @override
-    def columns(self, u: Displacements) -> Columns:
+    def columns(self, u: Displacements) -> OpenColumns:
         return self._at(u).rays.columns()
 
 

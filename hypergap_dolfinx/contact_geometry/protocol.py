@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry.blending import Blended
-from hypergap_dolfinx.contact_geometry.opened import Columns
+from hypergap_dolfinx.contact_geometry.opened import OpenColumns
 from hypergap_dolfinx.core.collective import spot
 from hypergap_dolfinx.errors import NotFacingError, SolveError
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced
@@ -258,5 +258,5 @@ class Segments(ABC):
         return np.divide(total, gaps.sizes, out=np.zeros_like(total), where=gaps.sizes > 0)
 
     @abstractmethod
-    def columns(self, u: Displacements) -> Columns:
+    def columns(self, u: Displacements) -> OpenColumns:
         """Σ's columns at some displacements, for plots."""

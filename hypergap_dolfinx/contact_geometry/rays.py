@@ -73,7 +73,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
-from hypergap_dolfinx.contact_geometry.opened import Columns
+from hypergap_dolfinx.contact_geometry.opened import OpenColumns
 from hypergap_dolfinx.contact_geometry.protocol import check
 from hypergap_dolfinx.contact_geometry.tolerances import (
     COSINES,
@@ -165,7 +165,7 @@ class PlaneRays:
         given = self.sigma, doubles(q[0, self.facets])
         return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
-    def columns(self) -> Columns:
+    def columns(self) -> OpenColumns:
         """As :meth:`Segments.columns`."""
         x = np.empty((len(self.points), 2, 2, 2))
         X, shown = np.empty((len(self.points), 2, 1)), np.empty(len(self.points), np.int32)
@@ -178,7 +178,7 @@ class PlaneRays:
         first, last = self.sigma.shared
         share = ((self.points["places"][on] - first) / (last - first)).clip(0, 1)
         shares = np.stack((1 - share, share), axis=2)
-        return Columns(x, edges, X[on], self.facets[edges], shares, height)
+        return OpenColumns(x, edges, X[on], self.facets[edges], shares, height)
 
     def reaches(self, p, least) -> npt.NDArray[np.float64]:
         """As :meth:`Segments.reaches`, from pressures of vertices, and least lengths."""

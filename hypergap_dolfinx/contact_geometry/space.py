@@ -29,7 +29,7 @@ from hypergap_dolfinx.contact_geometry.heights import (
     merged,
 )
 from hypergap_dolfinx.contact_geometry.moments import degree_of, rule
-from hypergap_dolfinx.contact_geometry.opened import Columns
+from hypergap_dolfinx.contact_geometry.opened import OpenColumns
 from hypergap_dolfinx.contact_geometry.opposite import (
     FacetPieces,
     Frames,
@@ -51,7 +51,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass
 class SpaceColumns:
-    """Columns on facets that see one sheet, and parts of faded ones; gaps of all parts."""
+    """OpenColumns on facets that see one sheet, and parts of faded ones; gaps of all parts."""
 
     sides: Sides
     frames: Frames
@@ -71,7 +71,7 @@ class SpaceColumns:
     def between(
         cls, sides: Sides, u: Displacements, itself: OwnPairs | None = None
     ) -> "SpaceColumns | None":
-        """Columns at given displacements; None if no part of Γ1 sees Γ0.
+        """OpenColumns at given displacements; None if no part of Γ1 sees Γ0.
 
         Args:
             sides: Γ0 and Γ1.
@@ -353,7 +353,7 @@ class SpaceSegments(Segments):
         return found
 
     @override
-    def columns(self, u: Displacements) -> Columns:
+    def columns(self, u: Displacements) -> OpenColumns:
         found = self._at(u).rays
         (pieces, heights), surfaces = found.shown, found.frames.surfaces
         piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
@@ -363,7 +363,7 @@ class SpaceSegments(Segments):
         below = cast(found.frames, every, flat).xi
         x = [s.points(f, at) for s, f, at in zip(surfaces, every, (below, flat), strict=True)]
         vertices = found.facets[facets[1], pieces.part[piece]]
-        return Columns(
+        return OpenColumns(
             x=np.stack(x[::-1]).reshape(2, -1, 3, 3).swapaxes(0, 1),
             facets=facets[1],
             X=X,
