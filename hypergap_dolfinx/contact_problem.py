@@ -317,7 +317,8 @@ class ContactProblem(ContactSystem):
 
         If Newton's method fails, the load step is halved, up to six times: all constants and
         functions in forms and boundary conditions are interpolated. If that fails too, the last
-        solved state remains. The first load step starts with the values at construction: set loads
+        solved part of it remains: to go back to its start, take :meth:`state` before, and
+        :meth:`restore` that. The first load step starts with the values at construction: set loads
         after it. In a time loop the interpolated values include those of the last time step:
         intermediate states then lead to the new state, but aren't states in time.
 

@@ -20,6 +20,7 @@ from hypergap_dolfinx.core import collective
 from hypergap_dolfinx.core.graph import components
 from hypergap_dolfinx.core.sparse import coo_matrix, triplets
 from hypergap_dolfinx.gap_mesh.strip import turns
+from hypergap_dolfinx.gap_mesh.tolerances import COINCIDE
 from hypergap_dolfinx.mortar.domain import GapDomain, interpolation_weights, places_of_dofs
 from hypergap_dolfinx.mortar.tolerances import (
     AROUND_FOLLOWED,
@@ -45,8 +46,9 @@ class Constraint(collective.Owner):
     R_A: PETSc.Mat
     """Pull-back of the multipliers: λ_a = R_A λ. ``(num_nodes, num_multipliers)``."""
     dofs: npt.NDArray[np.int64]
-    """Global dof (block) of V₁ under each multiplier, sorted, the same on every rank. A dof that
-    several patches of Γ1 share has a multiplier in each."""
+    """Global dof (block) of V₁ under each multiplier, the same on every rank. A dof that several
+    patches of Γ1 share has a multiplier in each. They are numbered by their places, so that what is
+    chosen in this order depends neither on the meshes' numbering nor on the number of ranks."""
     patch: npt.NDArray[np.int64]
     """Patch of Γ1 under each multiplier."""
     rows: npt.NDArray[np.int64]
@@ -134,7 +136,16 @@ def create_constraint(
     for R_i in R_B:
         if R_i not in R:
             R_i.destroy()
-    return Constraint(tuple(B), R, R_A, dofs, patch, rows, collective.enter(comm))
+    order = _by_place(domain.surfaces[1], dofs, patch)
+    parts = dofs[order], patch[order], rows[order]
+    return Constraint(tuple(B), R, R_A, *parts, collective.enter(comm))
+
+
+def _by_place(surface: Surface, dofs, patch) -> npt.NDArray[np.intp]:
+    """Order of multipliers by the positions of their dofs, then by patch."""
+    known, x = places_of_dofs(surface)
+    places = np.round(x[np.searchsorted(known, dofs)] / (COINCIDE * np.ptp(x, axis=0).max()))
+    return np.lexsort((patch, *places.T[::-1]))
 
 
 def _add_factored(B, R_A: PETSc.Mat, R, D_e, sign, nodes):
@@ -212,7 +223,9 @@ class Multipliers:
         num_patches = int(domain.patch.max()) + 1
         keys = constraint.dofs * num_patches + constraint.patch
         wanted = surface.dofs * num_patches + domain.patch[:, None]
-        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # (facet, dof)
+        order = np.argsort(keys)
+        found = np.searchsorted(keys, wanted, sorter=order)
+        at = order[np.minimum(found, len(keys) - 1)]  # (facet, dof)
         at[keys[at] != wanted] = -1
         return cls(constraint.dofs, constraint.patch, surface, at, domain.covered, domain.least)
 
@@ -304,7 +317,7 @@ class Multipliers:
         centres = self.surface.nodes.mean(axis=1)
         own = centres[self.facets_of(m)[0]].mean(axis=0)
         facet = facets[np.linalg.norm(centres[facets] - own, axis=1).argmin()]
-        return np.ones(1), self.on_facets[facet][free[facet]][:1]
+        return np.ones(1), np.sort(self.on_facets[facet][free[facet]])[:1]
 
     def _fit(self, drop, facets) -> "_Fit | None":
         """Polynomials of degree k − 1 through the multipliers that remain around some facets.

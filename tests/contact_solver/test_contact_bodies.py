@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from assembly import Body, Elastic, lame_constants, rectangle
-from helpers import two_ranks
+from helpers import close, two_ranks
 
 import dolfinx
 import meshes
@@ -535,3 +535,34 @@ def test_end_of_compliant_surfaces(swap, sliding):
     assert up == pytest.approx(0.7 * 0.01 / compliance, rel=1e-4)
     expected = 0.01**2 / compliance if sliding == "finite" else 0.0
     assert across == pytest.approx(expected, rel=1e-4, abs=1e-9 * up)
+
+
+@two_ranks()
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("glued", [False, True])
+def test_two_bodies_on_one_face(swap, glued):
+    """Facets of the face that reach from one to the other are in the contacts of both: exact."""
+    corners = ((0, 0), (2, 1)), ((0, 1), (0.9, 2)), ((0.9, 1), (2, 2))
+    cells = (5, 3), (3, 4), (4, 3)
+    scene = Assembly([rectangle(n, *ends) for n, ends in zip(cells, corners, strict=True)])
+    across = [scene.hold(i, 0, meshes.RIGHT) for i in (0, 2)]
+    for i in (0, 1):
+        scene.hold(i, 0, meshes.LEFT)
+    scene.hold(0, 1, meshes.BOTTOM)
+    down = [scene.hold(i, 1, meshes.TOP) for i in (1, 2)]
+    pairs = [
+        (scene.side(0, meshes.TOP), scene.side(1, meshes.BOTTOM)),
+        (scene.side(0, meshes.TOP), scene.side(2, meshes.BOTTOM)),
+        (scene.side(1, meshes.RIGHT), scene.side(2, meshes.LEFT)),
+    ]
+    pairs = [pair[::-1] if swap else pair for pair in pairs]
+    contacts = [Contact(*pair, friction=0.3) for pair in pairs[glued:]]
+    problem = scene.problem(contacts, [Tie(*pairs[0])] if glued else ())
+    for value in across:
+        value.value = -0.02
+    for value in down:
+        value.value = -0.04
+    for u in problem.solve():
+        x = u.function_space.tabulate_dof_coordinates()[:, :2]
+        exact = x * (-0.01, -0.02)
+        close(u.x.array.reshape(-1, 2), exact, 1e-12)
