@@ -83,7 +83,7 @@ def polyline(x, name="Γ0", *, closed=False, seed=0) -> Surface:
         name=name,
         x=x[order],
         facets=facets.astype(np.int32),
-        nodes=x[order][facets],
+        own_nodes=x[order][facets],
         dofs=facets.astype(np.int64),
         owner=np.zeros(len(facets), dtype=np.int32),
         geometry=element,

@@ -91,7 +91,7 @@ def side(x, degree, name, part=None):
             name=name,
             x=x[vertices],
             facets=facets.reshape(-1, 2).astype(np.int32),
-            nodes=x[dofs],
+            own_nodes=x[dofs],
             dofs=dofs.astype(np.int64),
             owner=np.zeros(len(dofs), dtype=np.int32),
             geometry=element,

@@ -52,7 +52,7 @@ class DisplacementField:
         return np.bincount(self._field, np.abs(values) ** 2, self._num_fields)
 
     @cached_property
-    def _parts(self) -> tuple[npt.NDArray[np.int32], int]:
+    def parts(self) -> tuple[npt.NDArray[np.int32], int]:
         """Connected part of each owned node, and their number. Collective."""
         return parts(self.part.space)
 
@@ -72,7 +72,7 @@ class DisplacementField:
         Returns:
             The mean; infinite if all is prescribed.
         """
-        part, num_parts = self._parts
+        part, num_parts = self.parts
         diagonal = K.getDiagonal()
         mine = np.abs(self.part.of_body(diagonal.array_r))
         diagonal.destroy()

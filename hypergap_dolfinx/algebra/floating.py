@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.algebra.blocks import ConstraintBlocks
+from hypergap_dolfinx.algebra.displacement import DisplacementField
 from hypergap_dolfinx.algebra.rigid_motions import (
     Hindrance,
     mean,
@@ -22,7 +23,6 @@ from hypergap_dolfinx.algebra.rigid_motions import (
 )
 from hypergap_dolfinx.algebra.tolerances import ASTRAY, DEPENDENT, MOVES, ROTATES
 from hypergap_dolfinx.core.collective import spot
-from hypergap_dolfinx.core.graph import parts
 from hypergap_dolfinx.surface.component import Component
 
 
@@ -31,7 +31,7 @@ class FreeMotions:
 
     def __init__(
         self,
-        parts_of: Sequence[Component],
+        fields: Sequence[DisplacementField],
         K: Sequence[PETSc.Mat],
         ties: ConstraintBlocks,
         without: Sequence[int] = (),
@@ -39,13 +39,14 @@ class FreeMotions:
         """Find them. Collective.
 
         Args:
-            parts_of: Displacements of each body among its fields.
+            fields: Displacements of each body.
             K: Stiffness of each body without stress, assembled.
             ties: The ties.
             without: Numbers of interfaces that hinder nothing.
         """
-        self._fields, spaces = list(parts_of), [part.space for part in parts_of]
-        self._spaces, self.parts = spaces, [parts(V) for V in spaces]
+        self._fields = [field.part for field in fields]
+        spaces = self._spaces = [part.space for part in self._fields]
+        self.parts = [field.parts for field in fields]
         """:func:`~hypergap_dolfinx.core.graph.parts` of each body."""
         self.places = [places(V) for V in spaces]
         """Initial positions of this rank's owned nodes of each body, ``(num_nodes, n)`` each."""
@@ -57,11 +58,11 @@ class FreeMotions:
         rows = [np.ones(next(B for B in row if B).getLocalSize()[0], bool) for row in ties.free]
         for g in without:
             rows[g][:] = False
-        fields = list(enumerate(self._fields))
-        hindrance = Hindrance(fields, K, ties, modes)
+        numbered = list(enumerate(self._fields))
+        hindrance = Hindrance(numbered, K, ties, modes)
         alone = hindrance.unhindered(rows)
         # Tied bodies move as one, even if that strains a tie by an error of its mesh
-        groups, apart = tied_groups(fields, self.parts, self.places, ties)
+        groups, apart = tied_groups(numbered, self.parts, self.places, ties)
         together = np.zeros((0, ends[-1]))
         for g in range(max(int(group.max()) for group in groups) + 1):
             common = self._common(groups, g)

@@ -50,6 +50,27 @@ int find_neighbours(int n, int num, int size, const int *facets, int *behind)
   return status;
 }
 
+// The inner edges of triangles: ends q and r, the vertex p on the left, s on the right.
+//
+// behind      as of find_neighbours
+// number      of each vertex
+// edges       (num_edges, 4), in these numbers
+void inner_edges(int num, const int *triangles, const int *behind, const int *number, int *edges)
+{
+  for (int f = 0; f < num; ++f)
+    for (int k = 0; k < 3; ++k)
+    {
+      int g = behind[3 * f + k];
+      if (g <= f)
+        continue;
+      const int *t = triangles + 3 * f, *u = triangles + 3 * g;
+      int q = t[k], r = t[(k + 1) % 3];
+      edges[0] = number[q], edges[1] = number[r];
+      edges[2] = number[t[(k + 2) % 3]], edges[3] = number[u[0] + u[1] + u[2] - q - r];
+      edges += 4;
+    }
+}
+
 // True if a surface has an edge with a smaller cosine between normals.
 int has_corner(int num, int size, const int *behind, const double *normals, double cosine)
 {

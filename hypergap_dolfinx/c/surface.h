@@ -21,6 +21,7 @@ typedef struct {
 } Curves;
 
 int find_neighbours(int n, int num, int size, const int *facets, int *behind);
+void inner_edges(int num, const int *triangles, const int *behind, const int *number, int *edges);
 int has_corner(int num, int size, const int *behind, const double *normals, double cosine);
 int find_kinks(int n, const double *x, int num, int size, const int *facets, const int *behind,
                const double *angles, double limit, double noise, double corner,

@@ -173,6 +173,11 @@ static int sort_boxes(int num_times, const Moved *surface, Sorted *sorted)
   for (int s = 0; sorted->places && s < surface->num; ++s)
   {
     Box box = box_of(num_times, surface->n, corners_of(surface, 0, s), corners_of(surface, 1, s));
+    double size = 0;
+    for (int i = 0; i < 3; ++i)
+      size = larger(size, box.high[i] - box.low[i]);
+    for (int i = 0; i < 3; ++i) // as far as points count as inside
+      box.low[i] -= NEARLY_ZERO * size, box.high[i] += NEARLY_ZERO * size;
     sorted->places[s] = (Place){box, box.low[sorted->axis], s};
     sorted->widest = larger(sorted->widest, box.high[sorted->axis] - box.low[sorted->axis]);
   }
@@ -216,7 +221,8 @@ static double wall_of(const Sorted *sorted, const double *x, const double *norma
     const double *corners = corners_of(surface, 0, place->simplex);
     normal_of(n, corners, 0, own);
     double along = dot(way, own), high = height_over(corners, x, own);
-    int counts = along > 0 && high > NEARLY_ZERO * along && high <= along;
+    int counts = along > NEARLY_ZERO * sqrt(dot(way, way) * dot(own, own)) && // else it is parallel
+                 high > NEARLY_ZERO * along && high <= along;
     for (int k = 0; beside >= 0 && k < n * n; ++k)
       counts &= surface->vertices[n * place->simplex + k / n] != surface->vertices[n * beside + k % n];
     if (!counts || high / along >= found)

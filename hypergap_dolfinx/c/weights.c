@@ -189,17 +189,17 @@ static int quadratic_weights(int n, Vertex *vertex, int num, const int *edges,
   return at_first == 0 && skip == 0;
 }
 
-// Constraints at each vertex, in the order of their numbers, and which have yet to be looked at: bits.
+// Constraints at each vertex, in the order of their numbers, and which have yet to be looked at.
 typedef struct {
   int *offset, *at;
-  unsigned long long *waits;
+  char *waits;
 } Queue;
 
 static int sort_constraints(Queue *queue, int n, int num, const int *edges)
 {
   queue->offset = calloc(n + 2, sizeof(int));
   queue->at = malloc(((size_t)4 * num + 1) * sizeof(int));
-  queue->waits = calloc(num / 64 + 1, sizeof(unsigned long long));
+  queue->waits = malloc((size_t)num + 1);
   if (!queue->offset || !queue->at || !queue->waits)
     return 0;
   for (int i = 0; i < num; ++i)
@@ -211,7 +211,7 @@ static int sort_constraints(Queue *queue, int n, int num, const int *edges)
     for (int k = 0; k < num_terms(edges + 4 * i); ++k)
       queue->at[queue->offset[edges[4 * i + k] + 1]++] = i;
   for (int i = 0; i < num; ++i)
-    queue->waits[i / 64] |= 1ULL << i % 64;
+    queue->waits[i] = 1;
   return 1;
 }
 
@@ -219,7 +219,7 @@ static int sort_constraints(Queue *queue, int n, int num, const int *edges)
 static void wake(Queue *queue, int vertex)
 {
   for (int i = queue->offset[vertex]; i < queue->offset[vertex + 1]; ++i)
-    queue->waits[queue->at[i] / 64] |= 1ULL << queue->at[i] % 64;
+    queue->waits[queue->at[i]] = 1;
 }
 
 // Weights that make a triangulation locally regular: reflected at one violated constraint after the
@@ -237,44 +237,48 @@ int front_weights(int n, double *vertices, int num, const int *edges, int sweeps
   Queue queue = {0};
   Constraint *constraints = malloc((num + 1) * sizeof(Constraint));
   Quadratic *some = malloc((num + 1) * sizeof(Quadratic));
+  double *w = malloc((n + 1) * sizeof(double)); // side by side
   int sweep = 0, violated = -1;
-  if (!constraints || !some || !sort_constraints(&queue, n, num, edges))
+  if (!constraints || !some || !w || !sort_constraints(&queue, n, num, edges))
     goto finish;
   for (int i = 0; i < n; ++i)
     vertex[i].w = 0;
   for (int i = 0; i < num; ++i)
     constraints[i] = (edges[4 * i + 3] < 0 ? rim : inner_edge)(vertex, edges + 4 * i);
   violated = !quadratic_weights(n, vertex, num, edges, constraints, some);
+  for (int i = 0; i < n; ++i)
+    w[i] = vertex[i].w;
   for (; violated && sweep <= sweeps && visits > 0; ++sweep)
   {
     violated = 0;
-    for (int word = 0; word <= num / 64; ++word)
-      for (unsigned long long later = ~0ULL; queue.waits[word] & later;)
+    for (char *at = queue.waits; (at = memchr(at, 1, queue.waits + num - at)); ++at)
+    {
+      int i = (int)(at - queue.waits);
+      *at = 0;
+      const Constraint *g = constraints + i;
+      const int *v = edges + 4 * i, terms = num_terms(v);
+      double value = 0, square = 0;
+      --visits;
+      for (int k = 0; k < terms; ++k)
+        value += g->c[k] * w[v[k]];
+      if (g->bound - value <= g->tolerance)
+        continue;
+      for (int k = 0; k < terms; ++k)
+        square += g->c[k] * g->c[k];
+      if (!(square > 0))
+        continue;
+      violated = 1;
+      double step = 2 * (g->bound - value) / square;
+      for (int k = 0; k < terms; ++k)
       {
-        int bit = __builtin_ctzll(queue.waits[word] & later), i = 64 * word + bit;
-        later = bit < 63 ? ~0ULL << (bit + 1) : 0;
-        queue.waits[word] &= ~(1ULL << bit);
-        const Constraint *g = constraints + i;
-        const int *v = edges + 4 * i, terms = num_terms(v);
-        double value = 0, square = 0;
-        --visits;
-        for (int k = 0; k < terms; ++k)
-        {
-          value += g->c[k] * vertex[v[k]].w;
-          square += g->c[k] * g->c[k];
-        }
-        if (!(square > 0) || g->bound - value <= g->tolerance)
-          continue;
-        violated = 1;
-        double step = 2 * (g->bound - value) / square;
-        for (int k = 0; k < terms; ++k)
-        {
-          vertex[v[k]].w += step * g->c[k];
-          wake(&queue, v[k]);
-        }
+        w[v[k]] += step * g->c[k];
+        wake(&queue, v[k]);
       }
+    }
   }
+  for (int i = 0; i < n; ++i)
+    vertex[i].w = w[i];
 finish:
-  free(constraints), free(some), free(queue.offset), free(queue.at), free(queue.waits);
+  free(constraints), free(some), free(w), free(queue.offset), free(queue.at), free(queue.waits);
   return violated ? -1 : sweep;
 }

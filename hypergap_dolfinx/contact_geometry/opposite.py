@@ -360,7 +360,7 @@ def _cut(frames: Frames, parts):
     reach = np.linalg.norm(above.nodes - frames.middle[:, None], axis=2).max(axis=1)
     order = ints(along_curve(below.x[below.facets].mean(axis=1)))
     given = sides, order, *map(doubles, (below.normals, frames.planes, reach, parts))
-    room = 4 * (len(below.facets) + len(above.facets))  # mostly 1 to 4 are enough
+    room = 6 * (len(below.facets) + len(above.facets))  # of equal grids' parts up to 5
     while True:
         numbers = np.empty((4, room), dtype=np.int32)
         edge = np.empty((room, library("space").lib.MOST_CORNERS), dtype=np.int32)

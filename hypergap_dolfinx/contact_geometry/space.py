@@ -13,6 +13,7 @@ weights (``sheets.py``). Rows of vertices that Γ0 covers in part are blended wi
 neighbours (``blending.py``).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import override
@@ -42,6 +43,7 @@ from hypergap_dolfinx.contact_geometry.opposite import (
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.contact_geometry.sheets import BodyTriangles, Faded, sort_out, weights_of
 from hypergap_dolfinx.contact_geometry.tolerances import ROUND_OFF_FACET
+from hypergap_dolfinx.core.graph import lots
 from hypergap_dolfinx.surface.moving import Displacements, Sides, Sparse, displaced, joined
 from hypergap_dolfinx.surface.tolerances import FACING_COSINE
 from hypergap_dolfinx.surface.trace import Surface
@@ -91,6 +93,8 @@ class SpaceColumns:
         height, area = (np.bincount(piece, weights * f, len(least)) for f in parts)
         height /= np.where(area > 0, area, 1)
         own, faded = sort_out(frames, pieces, least, most, height)
+        if own.all():
+            return cls(sides, frames, pieces, rays, piece, weights, None, (pieces, height))
         some = None
         if faded.any():
             parts = parts_of(frames.surfaces[1].geometry.cell_type)
@@ -169,11 +173,12 @@ class SpaceColumns:
             return H
         pair, facets = self.pairs(on)
         dofs, points = self.dofs(*facets), self.on_some(on)
-        edges, piece = self._edges(pressure != 0), self.piece[points]
         blocks = np.zeros((*dofs.shape, dofs.shape[1], 3, 3))
-        factor = pressure[piece] * self.weights[points]
-        self.rays.some(points).add_curvatures(pair[piece], factor, blocks)
-        if len(edges.piece):  # a facet of Γ0 may reach over all that is in contact
+        for some in lots(len(points), 6000):
+            rays, piece = self.rays.some(points[some]), self.piece[points[some]]
+            factor = pressure[piece] * self.weights[points[some]]
+            rays.add_curvatures(pair[piece], factor, blocks)
+        for edges in self._edges(pressure != 0):
             factor = pressure[edges.piece] * edges.weights
             edges.add_kinks(pair[edges.piece], factor, blocks)
         return joined(H, merged(dofs, dofs, blocks, (self.size[1],) * 2, symmetric=True))
@@ -252,8 +257,8 @@ class SpaceColumns:
         pair[on] = np.cumsum(new) - 1
         return pair, (f0[new], f1[new])
 
-    def _edges(self, which) -> EdgeRays:
-        """Points on the pieces' edges that lie on Γ0's.
+    def _edges(self, which) -> Iterator[EdgeRays]:
+        """Points on the pieces' edges that lie on Γ0's, some at a time.
 
         Args:
             which: Mask of the pieces, ``(num_pieces,)``.
@@ -261,19 +266,19 @@ class SpaceColumns:
         pieces = self.pieces
         there = (np.arange(pieces.X.shape[1]) < pieces.num[:, None]) & (pieces.label != Label.INNER)
         there &= which[:, None]
-        piece, k = np.nonzero(there)
         curved = pieces.bend is not None
         points, weights = basix.make_quadrature(basix.CellType.interval, 5 if curved else 3)
-        along = pieces.along(piece, k, points[:, 0])
-        X, step = [part.reshape(-1, 2) for part in along]
-        num = len(points)
-        f0, f1 = [np.repeat(facet[piece], num) for facet in pieces.facets]
-        return EdgeRays(
-            cast(self.frames, (f0, f1), X),
-            np.repeat(piece, num),
-            np.tile(weights, len(piece)),
-            np.column_stack((step[:, 1], -step[:, 0])),
-        )
+        num, every = len(points), np.nonzero(there)
+        for some in lots(len(every[0]), 2000):
+            piece, k = (part[some] for part in every)
+            X, step = (part.reshape(-1, 2) for part in pieces.along(piece, k, points[:, 0]))
+            f0, f1 = (np.repeat(facet[piece], num) for facet in pieces.facets)
+            yield EdgeRays(
+                cast(self.frames, (f0, f1), X),
+                np.repeat(piece, num),
+                np.tile(weights, len(piece)),
+                np.column_stack((step[:, 1], -step[:, 0])),
+            )
 
     def dofs(self, f0=None, f1=None) -> npt.NDArray[np.intp]:
         """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``.

@@ -365,7 +365,7 @@ class ContactSystem(NonlinearSystem):
             self.assemble_matrix()
             self._scales_fixed = True
             self._tangent.remember_stiffness(self._stiffness())
-            self._free = FreeMotions(self._moving, self._K, self._constraints)
+            self._free = FreeMotions(self._fields, self._K, self._constraints)
             self._num_free = self._free.num
             self._strays = RigidBodyDiagnostics(self._moving, self._free, self._names)
         if self._constraints.conducts:
@@ -375,7 +375,7 @@ class ContactSystem(NonlinearSystem):
         """Say which bodies are held by ties only that conduct nothing now. Collective."""
         loose = self._constraints.loose()
         if loose and loose != self._told_loose:
-            free = FreeMotions(self._moving, self._K, self._constraints, loose)
+            free = FreeMotions(self._fields, self._K, self._constraints, loose)
             if free.num > self._num_free:
                 strays = RigidBodyDiagnostics(self._moving, free, self._names)
                 moving = strays.moving(self._owned(), np.zeros((0, free.num)))

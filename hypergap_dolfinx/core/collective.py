@@ -149,6 +149,17 @@ def raise_on_all(comm: MPI.Comm, message: str | None, error: type[Exception] = I
         raise error(first)
 
 
+def gathered(comm: MPI.Comm, array: npt.NDArray) -> npt.NDArray:
+    """All ranks' arrays of one type, ``(num, ...)``, one after the other. Collective."""
+    if comm.size == 1:
+        return array
+    size = int(np.prod(array.shape[1:], dtype=np.intp))
+    sizes = [size * num for num in comm.allgather(len(array))]
+    every = np.empty((sum(sizes) // max(size, 1), *array.shape[1:]), dtype=array.dtype)
+    comm.Allgatherv(np.ascontiguousarray(array), (every, sizes))
+    return every
+
+
 def look_up(comm: MPI.Comm, owned: npt.NDArray, offset: int, dofs) -> npt.NDArray:
     """Values at global dofs (blocks) on every rank. Collective.
 

@@ -71,25 +71,31 @@ class Problem:
             InterfaceError: Their boundaries don't match.
         """
         n0 = len(side0.x)
-        facets = side0.triangles, n0 + side1.triangles[:, ::-1]
+        facets = side0.triangles, np.int32(n0) + side1.triangles[:, ::-1]
         normals = np.vstack((side0.vertex_normals, -side1.vertex_normals))
         x = np.vstack((side0.x, side1.x))
         curved = any(side.surface.curved[side.facets].any() for side in (side0, side1))
         return cls(x, n0, facets, (side0, side1), normals, rims(side0, side1), curved)
 
-    @cached_property
-    def edges(self) -> npt.NDArray[np.integer]:
+    def edges(self, number: npt.NDArray[np.int32], reverse: bool) -> npt.NDArray[np.int32]:
         """Inner edges: ends q and r, p on their left and s on their right, ``(num_edges, 4)``.
 
-        And two edges of the boundary: a, b, c, −1.
+        And two edges of the boundary: a, b, c, −1. Sorted by the first vertex.
+
+        Args:
+            number: Numbers of the vertices in the result.
+            reverse: True if they are seen from the other side.
         """
-        edges0, edges1 = (side.inner_edges for side in self.sides)
-        edges = [edges0, self.n0 + edges1[:, [1, 0, 2, 3]]]
+        own = number[: self.n0], number[self.n0 :]
+        edges = [side.inner_edges(at) for side, at in zip(self.sides, own, strict=True)]
+        turned = edges[0 if reverse else 1]
+        turned[:, :2] = turned[:, 1::-1]
         for rim in self.rims:
-            for loop in (rim.nodes[0], self.n0 + rim.nodes[1]):
-                three = (np.roll(loop, -k) for k in range(3))
-                edges.append(np.column_stack((*three, np.full(len(loop), -1))))
-        return np.vstack(edges)
+            for loop, at in zip(rim.nodes, own, strict=True):
+                three = (np.roll(at[loop], -k) for k in range(3))
+                edges.append(np.column_stack((*three, np.full(len(loop), -1, dtype=np.int32))))
+        every = np.vstack(edges)
+        return every[np.argsort(every[:, 0], kind="stable")]
 
     @cached_property
     def size(self) -> float:
@@ -228,11 +234,12 @@ def advance(
         order = np.concatenate((order[n0:], order[:n0]))
     number = np.empty(n, dtype=np.int32)  # in the front's order: where it starts, where it ends
     number[order] = np.arange(n, dtype=np.int32)
-    y = x - x.mean(axis=0)
     vertices = np.zeros((n, 10))
+    y = x - x.mean(axis=0)
     vertices[:, :3] = y[order]
     y[n0:] += sign * shift
     vertices[:, 3:6] = y[order]
+    del y  # a front takes much memory
     vertices[:, :6] /= problem.size
     vertices[:, 6:9] = sign * problem.normals[order]
     turned = slice(None) if not reverse else [1, 0, 2]
@@ -243,20 +250,17 @@ def advance(
         is_whole = num == len(faces) and bool(_are_walls(faces, n0).all())
         return Front(prisms.cells, faces[:, ::-1], 0, (0, int(not is_whole)))
     if weighted:
-        edges = np.append(number, np.int32(-1))[problem.edges]  # −1 stays −1
-        if reverse:
-            inner = edges[:, 3] >= 0
-            edges[inner, :2] = edges[inner, 1::-1]
-        edges = ints(edges[np.argsort(edges[:, 0], kind="stable")])
+        edges = problem.edges(number, reverse)
         visits = 30 * max(len(edges), 1_000_000)  # a second or more; 5 to 15 per edge suffice
         call("front_weights", n, vertices, len(edges), edges, SWEEPS, visits)
+        del edges
     sides = (n1, n0) if reverse else (n0, n1)
     if not problem.rims or n > SWEPT:
         vertices[sides[0] :, 9] += 2 * share * SWEEP * vertices[sides[0] :, :3] @ GENERIC
     weights = vertices[number, 9] * problem.size**2
     inner = walls = problem.walls(sign * shift, weights)
     if prisms:
-        walls, inner = prisms.walls(problem.facets, walls)
+        walls, inner = prisms.walls(walls)
     start, end = (number[f][:, turned] for f in facets[::sign])
     start = start[np.argsort(start.min(axis=1), kind="stable")]
     start, end = ints(np.vstack((start, number[inner]))), ints(end)

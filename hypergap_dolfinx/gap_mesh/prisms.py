@@ -239,13 +239,12 @@ class Prisms:
         """Facets of both sides, ``(num_facets, 3)`` each, that have no twins."""
         return [part[find(self.pairs[:, i], part) < 0] for i, part in enumerate(facets)]
 
-    def walls(self, facets, walls):
+    def walls(self, walls):
         """Walls of a slab between two surfaces, and of the room that the prisms leave in it.
 
         Where an edge of one outline and its twin have a wall, that of their prism replaces it.
 
         Args:
-            facets: Facets of both sides, ``(num_facets, 3)`` each.
             walls: Walls of the slab, counterclockwise seen from inside, ``(num_walls, 3)``.
 
         Returns:
@@ -259,7 +258,7 @@ class Prisms:
         four = four[of_walls.sum(axis=1) == 2].reshape(-1, 3)
         others = walls[~_among(walls, four)]
         walls = np.vstack((others, faces[_among(faces, four)]))
-        inner = ~_among(faces, np.vstack((walls, *facets)))
+        inner = ~_among(faces, np.vstack((walls, self.pairs.reshape(-1, 3))))
         rest = walls[~_among(walls, faces)]
         return walls, np.vstack((rest, faces[inner][:, ::-1]))
 

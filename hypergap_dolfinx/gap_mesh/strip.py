@@ -105,7 +105,7 @@ class Chain:
         if not surface.curved[facet]:
             return position
         start, end = self.X[edge]
-        nodes = surface.nodes[facet] - point
+        nodes = surface.nodes_of(facet) - point
         found, least = position, np.inf
         for _ in range(NEWTON_RIM):
             X = np.array(((start + position * (end - start),),))

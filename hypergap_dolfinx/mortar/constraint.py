@@ -105,7 +105,7 @@ def create_constraint(
     num_patches = int(domain.patch.max()) + 1
     patch_of = domain.patch[hosts.facets[1].ravel()[first]]  # of each owned node
     key = dof1 * num_patches + patch_of[np.searchsorted(row, i1)]
-    keys = np.unique(np.concatenate(comm.allgather(np.unique(key))))
+    keys = np.unique(collective.gathered(comm, np.unique(key)))
     dofs, patch = keys // num_patches, keys % num_patches
     ends = np.searchsorted(dofs, domain.surfaces[1].dof_range)
     num_free = np.array(comm.allgather(int(free.sum())))
@@ -412,7 +412,7 @@ def smooth_pieces(surfaces: Sequence[Surface]) -> list[npt.NDArray[np.int32]]:
         first,
         x=vertices.reshape(-1, first.gdim)[where],
         facets=number.reshape(-1, len(corner)).astype(np.int32),
-        nodes=np.vstack([s.nodes for s in surfaces])[at],
+        own_nodes=np.vstack([s.nodes for s in surfaces])[at],
         dofs=dofs,
         owner=np.concatenate([s.owner for s in surfaces])[at],
     )

@@ -760,13 +760,13 @@ def _normals(surface: Surface, facets, X: Floats) -> Floats:
 
 def _points(surface: Surface, facets, X: Floats) -> Floats:
     """Points at the same reference points X of some facets, ``(num_facets, num_points, n)``."""
-    return np.einsum("qm,fmi->fqi", tabulate(surface.geometry, X), surface.nodes[facets])
+    return np.einsum("qm,fmi->fqi", tabulate(surface.geometry, X), surface.nodes_of(facets))
 
 
 def _tangents(surface: Surface, facets, X: Floats) -> Floats:
     """Derivatives of points by reference coordinates, ``(dim, num_facets, num_points, n)``."""
     table = surface.geometry.tabulate(1, X)[1:, :, :, 0]
-    return np.einsum("kqm,fmi->kfqi", table, surface.nodes[facets])
+    return np.einsum("kqm,fmi->kfqi", table, surface.nodes_of(facets))
 
 
 def _gradients(surface: Surface, facets: npt.NDArray[np.intp]) -> Floats:

@@ -373,7 +373,7 @@ def distances_from_polynomials(surface: Surface, pairs) -> npt.NDArray[np.float6
     X, weights = basix.make_quadrature(element.cell_type, 2 * k + 2)
     phi = element.tabulate(0, X)[0, :, :, 0]
     psi = surface.geometry.tabulate(1, X)[..., 0]  # (1 + j, point, node)
-    x, *tangents = (np.einsum("pm,fsmi->fspi", values, surface.nodes[pairs]) for values in psi)
+    x, *tangents = (np.einsum("pm,fsmi->fspi", values, surface.nodes_of(pairs)) for values in psi)
     t = np.stack(tangents, axis=3)  # (pair, facet, point, j, i)
     measure = np.sqrt(np.linalg.det(np.einsum("fspji,fspki->fspjk", t, t))) * surface.arc(x)
     root = np.sqrt(measure * weights).reshape(len(pairs), -1)

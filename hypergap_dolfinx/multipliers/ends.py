@@ -110,7 +110,7 @@ def _value_at(multipliers: Multipliers, x: npt.NDArray):
         steps = np.einsum(
             "dpa,pai->pid",
             surface.geometry.tabulate(1, X)[1:, :, :, 0],
-            surface.nodes[facets],
+            surface.nodes_of(facets),
         )
         rest = (x - surface.points(facets, X))[:, :, None]
         X = np.clip(X + (np.linalg.pinv(steps) @ rest)[:, :, 0], 0, 1)

@@ -140,7 +140,8 @@ def surface(own: Surface, motion: Motion, other: Surface) -> Surface:
     Raises:
         InterfaceError: It does not coincide with Γ1 (``other``); the message says by how much.
     """
-    there = replace(own, x=motion(own.x), nodes=motion(own.nodes))
+    nodes = None if own.own_nodes is None else motion(own.own_nodes)
+    there = replace(own, x=motion(own.x), own_nodes=nodes)
     low = other.x.min(axis=0) - there.x.min(axis=0)
     high = other.x.max(axis=0) - there.x.max(axis=0)
     size = np.ptp(other.x, axis=0).max()

@@ -54,7 +54,7 @@ class MovingSurface:
         facets, X = np.arange(len(surface.facets)), surface.element.points
         nodes = surface.points(np.repeat(facets, len(X)), np.tile(X, (len(facets), 1)))
         nodes = nodes.reshape(len(facets), len(X), -1)
-        return replace(surface, nodes=nodes, geometry=surface.element)
+        return replace(surface, own_nodes=nodes, geometry=surface.element)
 
     @cached_property
     def nodes_by_dofs(self) -> npt.NDArray[np.float64]:
@@ -90,7 +90,7 @@ class MovingSurface:
             nodes += np.stack((added.real, added.imag), axis=-1)
         x = np.empty_like(rest.x)
         x[rest.facets] = nodes[:, self._corners]
-        found = replace(rest, x=x, nodes=nodes)
+        found = replace(rest, x=x, own_nodes=nodes)
         if not u.flags.writeable:
             self._known["last"] = u, found
         return found
@@ -247,5 +247,8 @@ class Sparse:
 
 def joined(*parts: Sparse) -> Sparse:
     """The sum of sparse matrices."""
+    parts = tuple(part for part in parts if len(part.i)) or parts[:1]
+    if len(parts) == 1:
+        return parts[0]
     i, j, values = zip(*[(part.i, part.j, part.values) for part in parts], strict=True)
     return Sparse(np.concatenate(i), np.concatenate(j), np.concatenate(values))

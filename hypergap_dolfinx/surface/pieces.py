@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 import basix
+from hypergap_dolfinx.core.compiled import call, ints
 from hypergap_dolfinx.surface.projection import Curves, Triangles
 from hypergap_dolfinx.surface.quadrilaterals import HALVES, QUARTERS
 from hypergap_dolfinx.surface.search import Tree
@@ -37,7 +38,7 @@ class Side:
     surface: Surface
     x: npt.NDArray[np.float64]
     """Vertex coordinates, ``(num_vertices, 3)``."""
-    triangles: npt.NDArray[np.intp]
+    triangles: npt.NDArray[np.integer]
     """Vertices, counterclockwise seen from outside of the body, ``(num_triangles, 3)``."""
     facets: npt.NDArray[np.intp]
     """The facet of the surface that hosts each triangle, ``(num_triangles,)``."""
@@ -64,8 +65,8 @@ class Side:
         """
         used = np.zeros(len(surface.x), dtype=bool)
         used[surface.facets[facets]] = True
-        number = np.cumsum(used, dtype=np.intp) - 1
-        x, corners = surface.x[used], number[surface.facets[facets]].astype(np.intp)
+        number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        x, corners = surface.x[used], number[surface.facets[facets]]
         if corners.shape[1] == 3:
             X = np.broadcast_to(TRIANGLE_CORNERS, (len(facets), 3, 2))
             side, normals = cls(surface, x, corners, facets, X), surface.normals
@@ -183,13 +184,15 @@ class Side:
             total[:, i] = np.bincount(corner, each, minlength=len(total))
         return total / np.maximum(lengths(total), 1e-300)[:, None]
 
-    @cached_property
-    def inner_edges(self) -> npt.NDArray[np.intp]:
-        """Inner edges: ends q, r, the vertex p on the left, s on the right, ``(num_edges, 4)``."""
-        f, k = np.nonzero(self.behind > np.arange(len(self.behind))[:, None])
-        t, total = self.triangles, self.triangles.sum(axis=1)
-        q, r, g = t[f, k], t[f, (k + 1) % 3], self.behind[f, k]
-        return np.column_stack((q, r, total[f] - q - r, total[g] - q - r))
+    def inner_edges(self, number: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+        """Inner edges: ends q, r, the vertex p on the left, s on the right, ``(num_edges, 4)``.
+
+        Args:
+            number: Numbers of the vertices in the result, ``(num_vertices,)``.
+        """
+        edges = np.empty((np.count_nonzero(self.behind >= 0) // 2, 4), dtype=np.int32)
+        call("inner_edges", len(self.triangles), ints(self.triangles), self.behind, number, edges)
+        return edges
 
     @cached_property
     def tree(self) -> Tree:
@@ -202,7 +205,7 @@ class Side:
 
     @cached_property
     def _curves(self) -> Curves:
-        nodes = self.surface.nodes[self.facets]
+        nodes = self.surface.nodes_of(self.facets)
         return Curves(self.surface.geometry, nodes, self.X, self.bends, self.vertex_normals)
 
     def loops(self) -> list[npt.NDArray[np.intp]]:
@@ -255,7 +258,10 @@ class Side:
 
         It returns places, ``(num_points, 3)``, and derivatives, ``(num_points, 2, 3)``.
         """
-        nodes, tabulate = self.surface.nodes[self.facets[triangle]], self.surface.geometry.tabulate
+        nodes, tabulate = (
+            self.surface.nodes_of(self.facets[triangle]),
+            self.surface.geometry.tabulate,
+        )
 
         def geometry(xi):
             values = tabulate(1, self.in_facets(triangle, xi))[..., 0]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import basix
 from dolfinx import fem
 from hypergap_dolfinx.core import compat
-from hypergap_dolfinx.core.collective import raise_on_all
+from hypergap_dolfinx.core.collective import gathered, raise_on_all
 from hypergap_dolfinx.core.compiled import doubles, ints
 from hypergap_dolfinx.core.graph import row_codes
 from hypergap_dolfinx.errors import InterfaceError
@@ -45,8 +45,9 @@ class Surface:
     """Vertex coordinates, ``(num_vertices, n)``."""
     facets: npt.NDArray[np.int32]
     """Vertices of each facet, ``(num_facets, n)``; of quadrilaterals ``(num_facets, 4)``."""
-    nodes: npt.NDArray[np.float64]
-    """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
+    own_nodes: npt.NDArray[np.float64] | None
+    """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``; None of
+    straight facets: the vertices."""
     dofs: npt.NDArray[np.int64]
     """Global dofs (blocks) of each facet, ordered as ``element``'s, ``(num_facets, num_dofs)``."""
     owner: npt.NDArray[np.int32]
@@ -60,8 +61,8 @@ class Surface:
     num_parts: int = 1
     """Parts of a facet of the mesh: facet f is part f % num_parts of one, with the dofs of all."""
     turned: npt.NDArray[np.complex128] | None = None
-    """What of ``nodes`` turns with the chord of the mesh's edge, over that, as complex numbers, and
-    0 at the ends, ``(num_facets, num_nodes)``; None: nothing (see :attr:`arcs`)."""
+    """What of :attr:`nodes` turns with the chord of the mesh's edge, over that, as complex numbers,
+    and 0 at the ends, ``(num_facets, num_nodes)``; None: nothing (see :attr:`arcs`)."""
     angle: float = 0.0
     """Angle by which a body of revolution is swept about x[0] = 0, 2π or 1; 0 for others."""
 
@@ -77,6 +78,15 @@ class Surface:
     def gdim(self) -> int:
         """Geometric dimension n."""
         return self.x.shape[1]
+
+    @property
+    def nodes(self) -> npt.NDArray[np.float64]:
+        """Coordinates of the geometry nodes of each facet, ``(num_facets, num_nodes, n)``."""
+        return self.nodes_of(slice(None))
+
+    def nodes_of(self, facets) -> npt.NDArray[np.float64]:
+        """The same of some facets."""
+        return self.x[self.facets[facets]] if self.own_nodes is None else self.own_nodes[facets]
 
     @property
     def polygons(self) -> npt.NDArray[np.int32]:
@@ -123,7 +133,7 @@ class Surface:
 
         A bilinear quadrilateral isn't curved, though it may be warped.
         """
-        if self.straight_nodes is self.nodes:
+        if len(self.geometry.points) == self.facets.shape[1]:
             return np.zeros(len(self.facets), dtype=bool)
         return self._is_off(np.abs(self.nodes - self.straight_nodes).max(axis=(1, 2)))
 
@@ -255,7 +265,7 @@ class Surface:
         added = d @ bumps.T
         nodes = nodes.reshape(len(every), -1, 2) + np.stack((added.real, added.imag), axis=-1)
         turned = added / ((end - start) @ (1, 1j))[:, None]
-        return replace(self, nodes=nodes, geometry=finer, turned=turned)
+        return replace(self, own_nodes=nodes, geometry=finer, turned=turned)
 
     @property
     def split(self) -> "Surface":
@@ -288,7 +298,7 @@ class Surface:
         if turned is not None:
             turned = (turned @ tabulate(self.geometry, X).T).reshape(len(facets), -1)
         return replace(
-            parts, x=x, facets=facets, nodes=points, dofs=dofs, owner=owner, turned=turned
+            parts, x=x, facets=facets, own_nodes=points, dofs=dofs, owner=owner, turned=turned
         )
 
     def _numbers_of_nodes(self, element: basix.finite_element.FiniteElement):
@@ -306,7 +316,7 @@ class Surface:
 
     def points(self, facet, X) -> npt.NDArray[np.float64]:
         """Coordinates of points at reference coordinates X in facets, ``(num_points, n)``."""
-        nodes = self.nodes[facet]
+        nodes = self.nodes_of(facet)
         # Sums of steps from the first node keep a coordinate that all nodes share to its last digit
         steps = nodes[:, 1:] - nodes[:, :1]
         return nodes[:, 0] + np.einsum("pa,pai->pi", tabulate(self.geometry, X)[:, 1:], steps)
@@ -549,39 +559,37 @@ def create_surface(V: fem.FunctionSpace, facets: npt.ArrayLike, name: str) -> Su
     tables = _facet_tables(cell_type, element, trace)[local, turn]
     dofs = np.take_along_axis(V.dofmap.list[cells], tables, axis=1)
 
-    # Gather: facets are identified by their global number, vertices by their global node
-    def gather(a):
-        return np.concatenate(comm.allgather(np.ascontiguousarray(a)))
-
-    index_map = V.dofmap.index_map
-    cell_map = topology.index_map(fdim + 1)
+    # Gather: vertices are identified by their global nodes, and facets by their vertices
+    own = np.flatnonzero(np.bincount(nodes.ravel(), minlength=1)).astype(np.int32)
+    nodes = np.searchsorted(own, nodes).astype(np.int32)
+    before = sum(comm.allgather(len(own))[: comm.rank])
+    of_own = mesh.geometry.index_map().local_to_global(own)
+    found, first, number = np.unique(gathered(comm, of_own), return_index=True, return_inverse=True)
+    nodes = number.astype(np.int32)[gathered(comm, nodes + np.int32(before))]
+    nodes_x = gathered(comm, x[own])[first]
+    index_map, cell_map = V.dofmap.index_map, topology.index_map(fdim + 1)
+    dofs = gathered(comm, index_map.local_to_global(dofs.ravel()).reshape(dofs.shape))
     ranges = np.append(0, np.cumsum(comm.allgather(cell_map.size_local)))
-    global_cells = cell_map.local_to_global(cells)
-    key = gather(global_cells * num_facets + local)
-    _, first = np.unique(key, return_index=True)
-    owner = np.searchsorted(ranges, key[first] // num_facets, side="right") - 1
-    nodes_x = gather(x[nodes])[first]
-    dofs = gather(index_map.local_to_global(dofs.ravel()).reshape(dofs.shape))[first]
-    global_nodes = mesh.geometry.index_map().local_to_global(nodes.ravel()).reshape(nodes.shape)
-    vertices = gather(global_nodes[:, vertex_nodes])[first]
+    owner = np.searchsorted(ranges, cell_map.local_to_global(cells), side="right") - 1
+    owner = gathered(comm, owner.astype(np.int32))
 
     # Number by position: node numbers depend on the number of ranks, coordinates don't
-    found, vertices = np.unique(vertices, return_inverse=True)
-    vertices = vertices.reshape(-1, len(vertex_nodes))
-    vertex_x = np.empty((len(found), n))
-    vertex_x[vertices] = nodes_x[:, vertex_nodes]
-    order = np.lexsort(vertex_x.T[::-1])
-    rank_of = np.empty_like(order)
-    rank_of[order] = np.arange(len(order))
-    vertices = rank_of[vertices]
-    facet_order = np.argsort(row_codes(np.sort(vertices, axis=1)), kind="stable")
+    vertices = np.flatnonzero(np.bincount(nodes[:, vertex_nodes].ravel(), minlength=len(found)))
+    order = vertices[np.lexsort(nodes_x[vertices].T[::-1])]
+    rank_of = np.empty(len(found), dtype=np.int32)
+    rank_of[order] = np.arange(len(order), dtype=np.int32)
+    vertices = rank_of[nodes[:, vertex_nodes]]
+    code = row_codes(np.sort(vertices, axis=1))
+    facet_order = np.argsort(code, kind="stable")
+    once = np.diff(code[facet_order], prepend=-1) > 0  # several ranks may have been given one
+    facet_order = facet_order[once]
     return Surface(
         name=name,
-        x=vertex_x[order],
-        facets=vertices[facet_order].astype(np.int32),
-        nodes=nodes_x[facet_order],
+        x=nodes_x[order],
+        facets=vertices[facet_order],
+        own_nodes=None if geometry.degree == 1 else nodes_x[nodes[facet_order]],
         dofs=dofs[facet_order],
-        owner=owner[facet_order].astype(np.int32),
+        owner=owner[facet_order],
         geometry=geometry,
         element=trace,
         dof_range=np.append(0, np.cumsum(comm.allgather(index_map.size_local))),
@@ -605,7 +613,7 @@ def thinness(V: fem.FunctionSpace, facets: npt.ArrayLike) -> float:
     polygon = v[:, around(np.arange(v.shape[1])[None])[0]]
     length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=1), axis=2).max(axis=1, initial=0)
     ratios = np.abs(height).max(axis=1, initial=0) / np.where(length > 0, length, 1)
-    return float(np.median(np.concatenate(mesh.comm.allgather(ratios))))
+    return float(np.median(gathered(mesh.comm, ratios)))
 
 
 def gap_of_chords(surface0: Surface, surface1: Surface) -> float:

@@ -109,7 +109,7 @@ def _normals_at_edges(surface: Surface, facet, k) -> npt.NDArray[np.float64]:
     corners = around(basix.geometry(surface.geometry.cell_type)[None])[0]
     X = (corners + np.roll(corners, -1, axis=0))[k] / 2
     derivatives = surface.geometry.tabulate(1, X)[1:, :, :, 0]
-    return np.cross(*(np.einsum("ea,eai->ei", d, surface.nodes[facet]) for d in derivatives))
+    return np.cross(*(np.einsum("ea,eai->ei", d, surface.nodes_of(facet)) for d in derivatives))
 
 
 def _on_lines(surface: Surface, edges, other: Surface, other_edges) -> npt.NDArray[np.bool_]:

@@ -58,7 +58,7 @@ def _restricted(surface: Surface, behind, keep):
         return surface, behind
     number = np.full(len(keep) + 1, -1)  # and −1 of −1
     number[:-1][keep] = np.arange(keep.sum())
-    part = replace(surface, facets=surface.facets[keep], nodes=surface.nodes[keep])
+    part = replace(surface, facets=surface.facets[keep], own_nodes=surface.nodes_of(keep))
     return part, number[behind[keep]]
 
 

@@ -16,8 +16,9 @@ import meshes
 from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as meshing
 from hypergap_dolfinx import Contact, ContactProblem, InterfaceError
-from hypergap_dolfinx.contact_geometry import moments
+from hypergap_dolfinx.contact_geometry import moments, opposite
 from hypergap_dolfinx.contact_geometry.space import SpaceSegments
+from hypergap_dolfinx.core import compiled
 from hypergap_dolfinx.errors import SolveError
 from hypergap_dolfinx.surface.moving import MovingSurface
 from hypergap_dolfinx.surface.trace import create_surface
@@ -265,6 +266,20 @@ def at_rest(two):
     return tuple(np.zeros((len(side.dofs), 3)) for side in two)
 
 
+def test_pieces_are_found_once(monkeypatch):
+    """Where surfaces' facets are of one size, there is room for their pieces at first."""
+    found = []
+
+    def call(name, *given):
+        found.append(name)
+        return compiled.call(name, *given)
+
+    monkeypatch.setattr(opposite, "call", call)
+    two = sides((lambda x, y: 0 * x, lambda x, y: 0 * x + 0.01), (0.11, 0.1))
+    SpaceSegments(two).gap(at_rest(two))
+    assert found.count("find_pieces") == 1
+
+
 def rough(
     degree=1,
     cell=meshing.CellType.tetrahedron,
@@ -485,7 +500,7 @@ def stacked(num):
         below,
         x=np.concatenate([below.x + part for part in down]),
         facets=np.vstack([below.facets + len(below.x) * k for k in range(num)]),
-        nodes=np.concatenate([below.nodes + part for part in down]),
+        own_nodes=np.concatenate([below.nodes + part for part in down]),
         dofs=np.vstack([below.dofs + dofs * k for k in range(num)]),
     )
     return [(MovingSurface(each), MovingSurface(above)) for each in (all_of_them, below)]

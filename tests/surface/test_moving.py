@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Surfaces that go through walls of others."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -78,12 +80,20 @@ def test_end_on(depth):
 
 
 def test_slantwise():
-    """A plate goes through a block's corner; one vertex cuts off too little."""
-    still = (lambda x, y: (0, 0),) * 2
+    """A plate goes through a block's corner, whatever the last digits: its end is parallel to ways.
+
+    Its end is deeper in the block's corner than the plate is thick.
+    """
+    still, rng = (lambda x, y: (0, 0),) * 2, np.random.default_rng(0)
     block = moved((1, 1), (0.6, 0.6), (-0.6, -0.6), still)
     plate = moved((4, 1), (1.6, 0.08), (0.02, -0.02), (still[0], lambda x, y: (-2, -0.6)))
-    passed, _ = went_through((plate, block), 1e-6)[0]
-    assert len(passed) == 9
+    for noise in (0, *([1e-13] * 10)):
+        two = [
+            tuple(replace(s, x=s.x + noise * rng.standard_normal(s.x.shape)) for s in side)
+            for side in (plate, block)
+        ]
+        passed, _ = went_through(two, 1e-6)[0]
+        assert len(passed) == 10
 
 
 def test_corner():
