@@ -40,9 +40,12 @@ from hypergap_dolfinx.core.sparse import mean_diagonal
 
 def nest(blocks: Sequence[Sequence[PETSc.Mat | None]], comm) -> PETSc.Mat:
     """Blocks as one matrix for vectors that aren't nested. Collective."""
+    every = [(block, block.stateGet()) for row in blocks for block in row if block is not None]
     matrix = PETSc.Mat().createNest(blocks, comm=comm)
     matrix.setNestVecType("standard")
     matrix.assemble()
+    for block, state in every:
+        block.stateSet(state)  # PETSc counts this as a change of the blocks
     return matrix
 
 
@@ -228,7 +231,7 @@ class Hierarchy:
         self._levels: list[PETSc.Mat] = []
         self.projects = False
         """True if what the preconditioner gives holds the constraints."""
-        self._largest: float | None = None  # eigenvalue of the finest level
+        self._largest: dict[int, float] = {}  # eigenvalues of levels
 
     def set_stiffness(self, K: PETSc.Mat, ksp: PETSc.KSP):
         """Compute PᵀKP on all levels; the first stiffness is that of the aggregates. Collective.
@@ -245,7 +248,7 @@ class Hierarchy:
                 if self._num_updates == 1:
                     last.destroy()  # a product of GAMG's
         self._num_updates += 1
-        self._largest = None
+        self._largest = {}
         self._scale = 1.0 / mean_diagonal(K)  # PETSc tells zero pivots by size, without a unit
         self._needs_entries = not self._P or _needs_entries(ksp)
         self._is_whole = self._needs_entries or _asymmetry(K) > UNSYMMETRIC
@@ -265,6 +268,8 @@ class Hierarchy:
         operator: PETSc.Mat,
         springs: PETSc.Mat | None,
         projector: Projector,
+        *,
+        fewer: bool = False,
     ):
         """Set a KSP's operators, and those of its multigrid's levels. Collective.
 
@@ -273,6 +278,8 @@ class Hierarchy:
             operator: What it iterates on.
             springs: √W B, or None.
             projector: Π, with springs.
+            fewer: True if the springs are some of those before: they have no larger eigenvalues,
+                nearly.
         """
         self._destroy_levels()
         self.projects = springs is not None and not self._needs_entries and projector.is_symmetric
@@ -292,8 +299,11 @@ class Hierarchy:
             pc.setMGInterpolation(num - 1 - level, P)
         for level, matrix in enumerate(levels[1:], 1):
             pc.getMGSmoother(num - 1 - level).setOperators(matrix)
+        if not fewer:  # without springs the finest level's is that of K
+            kept = [num - 1] if self.projects else []
+            self._largest = {k: self._largest[k] for k in kept if k in self._largest}
         if not self.projects:
-            self._set_up(pc, levels[0], num - 1)
+            self._set_up(pc, levels)
             return
         smoother = pc.getMGSmoother(num - 1).getPC()
         smoother.setType(PETSc.PC.Type.PYTHON)
@@ -308,41 +318,37 @@ class Hierarchy:
         given = database.getAll().get(name)  # getString finds that of all levels, too
         database[name] = PETSc.PC.Type.PYTHON
         try:
-            self._set_up(pc, levels[0], num - 1, limited)
+            self._set_up(pc, levels, limited)
         finally:
             del database[name]
             if given:
                 database[name] = given
 
-    def _set_up(
-        self, pc: PETSc.PC, finest: PETSc.Mat, number: int, smoother: _Smoother | None = None
-    ):
-        """Set up multigrid, with the largest eigenvalue for the smoother of the finest level.
+    def _set_up(self, pc: PETSc.PC, levels: Sequence[PETSc.Mat], smoother: _Smoother | None = None):
+        """Set up multigrid, with the largest eigenvalues for the smoothers of its levels.
 
         Args:
             pc: Multigrid.
-            finest: The finest level's matrix.
-            number: Number of that level.
-            smoother: Smoother with larger eigenvalues than those over the diagonal, or None.
+            levels: The levels' matrices, the finest one first.
+            smoother: The finest level's if its eigenvalues are larger than over the diagonal.
         """
-        prefix, database, name = pc.getOptionsPrefix(), PETSc.Options(), "ksp_chebyshev_eigenvalues"
-        one, esteig = f"{prefix}mg_levels_{number}_{name}", "ksp_chebyshev_esteig"
-        levels = [f"{prefix}mg_levels_{of}" for of in ("", f"{number}_")]
-        given = any(of + option in database for of in levels for option in (name, esteig))
-        kinds = {database.getString(of + "pc_type", "jacobi") for of in levels} - {"python"}
-        if given or kinds != {"jacobi"}:  # its eigenvalues, or those with another preconditioner
-            pc.setUp()
-            return
-        largest = self._largest if smoother is None else None
-        if largest is None:
-            largest = _largest_eigenvalue(finest, f"{prefix}mg_levels_esteig_", smoother)
-        if smoother is None:
-            self._largest = largest
-        database[one] = f"{0.1 * largest},{1.1 * largest}"  # as PETSc for others
+        prefix, database, set_here = f"{pc.getOptionsPrefix()}mg_levels_", PETSc.Options(), []
+        for number, matrix in zip(range(len(levels) - 1, 0, -1), levels, strict=False):
+            if not _is_ours(prefix, number):
+                continue
+            of_level = smoother if matrix is levels[0] else None
+            largest = None if of_level else self._largest.get(number)
+            if largest is None:
+                largest = _largest_eigenvalue(matrix, f"{prefix}esteig_", of_level)
+            if of_level is None:
+                self._largest[number] = largest
+            set_here.append(f"{prefix}{number}_ksp_chebyshev_eigenvalues")
+            database[set_here[-1]] = f"{0.1 * largest},{1.1 * largest}"  # as PETSc does
         try:
             pc.setUp()
         finally:
-            del database[one]
+            for option in set_here:
+                del database[option]
 
     def _with_springs(self, springs: PETSc.Mat) -> list[PETSc.Mat]:
         """Each level with (√W B P)ᵀ √W B P, without the finest one if that projects. Collective."""
@@ -362,8 +368,6 @@ class Hierarchy:
                 found[-1].axpy(1.0, added, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
                 added.destroy()
             else:
-                if not self._is_whole:
-                    added = _half(added, self._block_sizes[level])
                 found.append(PETSc.Mat().createPython(K.getSizes(), _Sum(K, added), comm=K.comm))
                 found[-1].setUp()
         part.destroy()
@@ -392,6 +396,15 @@ def _needs_entries(ksp: PETSc.KSP) -> bool:
     of_levels = [k for k in given if k.startswith(("mg_levels", "mg_fine")) and "_pc_" in k]
     named = {"pc_mg_galerkin", "pc_mg_distinct_smoothup"} & set(given)
     return bool(named) or not {given[k] for k in of_levels} <= {"jacobi"}
+
+
+def _is_ours(prefix: str, number: int) -> bool:
+    """True if a level's smoother has no eigenvalues of the user's, nor a preconditioner."""
+    database, levels = PETSc.Options(), (prefix, f"{prefix}{number}_")
+    options = "ksp_chebyshev_eigenvalues", "ksp_chebyshev_esteig"
+    given = any(of + option in database for of in levels for option in options)
+    kinds = {database.getString(of + "pc_type", "jacobi") for of in levels} - {"python"}
+    return not given and kinds == {"jacobi"}
 
 
 def _asymmetry(K: PETSc.Mat) -> float:

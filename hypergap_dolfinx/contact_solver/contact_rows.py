@@ -420,6 +420,26 @@ class ContactRows:
         """
         return self.valid & (np.where(self.state.active, f, y) < -self.least())
 
+    def pulled(self, f) -> npt.NDArray[np.bool_]:
+        """Mask of closed multipliers where neighbours pull more than they press.
+
+        A surface that is held too far outside pulls in a wide ring. But pressures at nodes change
+        signs there, so that from one solution to the next only its outermost nodes open. If no
+        pressure is negative, nothing is in the mask.
+
+        Args:
+            f: Multipliers, ``(num_unknowns,)``, as the mask.
+        """
+        if self.has_friction:
+            return np.zeros(self.num_unknowns, dtype=bool)
+        num, size = len(f), len(self._is_free)
+        near = replace(self._slopes, values=np.abs(self._slopes.values))
+        p = np.where(self.state.active, f * self._per_unit[0], 0)
+        for _ in range(2):  # averages over neighbours of neighbours
+            p, every = (near.times((near.T.times((of,), size),), num) for of in (p, np.ones(num)))
+            p = np.divide(p, every, out=0 * p, where=every > 0)
+        return self.valid & self.state.active & (p < 0)
+
     def law(self, y, f, at, states=None):
         """Residual of the laws of contact and friction, zero where they hold.
 

@@ -198,6 +198,9 @@ class LinearisedContact:
         if not len(more):
             return self._found(changes, y, f, more, f)
         if guesses.allow(len(more)):
+            pulled = self._pulled(f)
+            f = np.where(pulled, np.minimum(f, y[self._own] - 1), f)
+            more = np.union1d(more, np.flatnonzero(pulled))
             return replace(self._found(changes, y, f, more, f), is_guess=True)
         y0, f0, of, z = y, f, np.empty(0, dtype=np.intp), np.empty(0)
         gaps, forces, loads = self._watched()
@@ -408,6 +411,11 @@ class LinearisedContact:
             if len(found) <= guesses.least or guesses.patience > 0:
                 break
         return found
+
+    def _pulled(self, f: Array) -> npt.NDArray[np.bool_]:
+        """Mask of the unknowns in the working set that open with others in rough solutions."""
+        masks = [part.pulled(of) for part, of in zip(self._rows, self._split(f, self._ends))]
+        return np.concatenate(masks) & self._tangent.is_rough
 
     @staticmethod
     def _split(values: npt.NDArray, ends: Sequence[int]) -> list[npt.NDArray]:

@@ -194,6 +194,8 @@ class MultigridTangent:
         """True if an accurate solution was found."""
         self.floor = 0.0
         """Force that is a residual of zero."""
+        self._most: npt.NDArray[np.bool_] | None = None
+        """Mask of the multipliers whose constraints' eigenvalues are known."""
         self._equations: list[Linear] | None = None
         self._near, self._given = 0.0, (0.0, 0.0, list[int]())
         self._constraints: Constraints | None = None
@@ -249,7 +251,7 @@ class MultigridTangent:
 
     def guesses(self) -> Guesses:
         """Rule for guesses of a step's working set: each costs far less than a column."""
-        self._of_columns = 0
+        self._of_columns, self._most = 0, None
         return Guesses(0, STEPS)
 
     def improves(self, num_wrong: int) -> bool:
@@ -424,7 +426,10 @@ class MultigridTangent:
         self._constraints = self._joined(own, now.G, None if self._symmetric else F)
         self._more = self._matrix(more, near)
         springs = self._springs(equations)
-        self._projection.update(self._ksp, self._constraints, self._more, springs)
+        among = self._most is not None and not (now.held & ~self._most).any()
+        fewer = among and not any(len(linear.springs.i) for linear in equations)
+        self._most = self._most if fewer else now.held
+        self._projection.update(self._ksp, self._constraints, self._more, springs, fewer=fewer)
         self._equations, self._near, self._given = list(equations), near, given
 
     def _sorted(self, equations: Sequence[Linear], sticks: float) -> _Equations:

@@ -117,6 +117,8 @@ class Projection:
         constraints: Constraints | None,
         more: PETSc.Mat | None = None,
         beside: PETSc.Mat | None = None,
+        *,
+        fewer: bool = False,
     ):
         """Take the present stiffness, and constraints, for a KSP.
 
@@ -125,6 +127,7 @@ class Projection:
             constraints: The constraints, which stay the caller's, or None.
             more: What is added to the stiffness, but not to the preconditioner.
             beside: Springs √W B of the preconditioner that aren't constraints, or None.
+            fewer: True if the constraints are some of those before.
         """
         self._forget()
         self._more = more
@@ -138,7 +141,7 @@ class Projection:
             beside = whole
         springs = beside or springs
         assert self._hierarchy is not None
-        self._hierarchy.attach(ksp, self.matrix, springs, weakref.proxy(self))
+        self._hierarchy.attach(ksp, self.matrix, springs, weakref.proxy(self), fewer=fewer)
         if springs is not None:
             springs.destroy()
 

@@ -12,6 +12,7 @@ from assembly import rectangle
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
+from hypergap_dolfinx.algebra import hierarchy as hierarchy_module
 from hypergap_dolfinx.algebra.hierarchy import Hierarchy, block_diagonal
 from hypergap_dolfinx.algebra.rigid_motions import motions, orthonormal
 from hypergap_dolfinx.core.sparse import coo_matrix
@@ -91,6 +92,38 @@ class Half:
         u.scale(0.5)
 
     project_transpose = project
+
+
+def test_eigenvalues_are_kept(monkeypatch):
+    """For fewer springs, no level's largest eigenvalue is estimated again; for others all are."""
+    body, calls = rectangle((40, 40), (0, 0), (1, 1)), []
+    K = petsc.assemble_matrix(fem.form(body.a))
+    K.assemble()
+    K.shift(1.0)
+    find = hierarchy_module._largest_eigenvalue
+
+    def found(matrix, prefix, smoother):
+        calls.append(matrix)
+        return find(matrix, prefix, smoother)
+
+    monkeypatch.setattr(hierarchy_module, "_largest_eigenvalue", found)
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix("kept_")
+    with Options("kept_", {}, Multigrid.OPTIONS, "").in_use():
+        ksp.setFromOptions()
+        hierarchy = Hierarchy([K], [orthonormal(comm, motions(body.V))], "kept_aggregates_")
+        hierarchy.set_stiffness(K.copy(), ksp)
+        springs = springs_on(K)
+        for fewer, left_out in ((False, 1), (True, None), (False, 2)):  # the finest has no springs
+            calls.clear()
+            hierarchy.attach(ksp, K, springs, Half(K), fewer=fewer)
+            ksp.setUp()
+            num = ksp.getPC().getMGLevels()
+            assert num > 2
+            assert len(calls) == (num - left_out if left_out else 0)
+    hierarchy.destroy()
+    for obj in (ksp, springs, K):
+        obj.destroy()
 
 
 def check_levels(pc, A, springs, projects):

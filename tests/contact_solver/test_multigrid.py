@@ -29,6 +29,7 @@ from hypergap_dolfinx.contact_solver.linearised import LinearisedContact
 from hypergap_dolfinx.contact_solver.multigrid_tangent import IterationFailed, MultigridTangent
 from hypergap_dolfinx.contact_solver.tangent import Tangent
 from hypergap_dolfinx.solvers.multigrid import Multigrid
+from hypergap_dolfinx.solvers.system import TiedSystem
 
 comm = MPI.COMM_WORLD
 
@@ -231,6 +232,40 @@ def test_few_iterations_for_each_set(monkeypatch):
     monkeypatch.setattr(contact_system, "LARGE_CONTACT", 0)
     problem, _ = hertz.press(comm, hertz.a / 6, 1, 2 / 3, False, dim=3)
     assert problem._tangent.iterations <= 50  # 41; 62 if springs are renewed for a quarter of rows
+
+
+@pytest.mark.ranks(2)
+def test_neighbours_of_what_pulls():
+    """A ring around what pulls opens with it in guesses; nothing does where all presses."""
+    scene = Pressed(6, solver="iterative")
+    scene.solve(DOWN[1:])
+    rows = scene.problem.rows(scene.contact)
+    closed = np.flatnonzero(rows.state.active)
+    f = np.where(rows.state.active, 1.0, 0.0)
+    assert not rows.pulled(f).any() and len(closed) > 9
+    x = rows.sides[1].reference.x
+    place = closed[np.linalg.norm(x[closed] - x[closed].mean(axis=0), axis=1).argmin()]
+    f[place] = -100.0
+    found = np.flatnonzero(rows.pulled(f))
+    assert 4 < len(found) <= len(closed) and place in found
+    f[place] = -0.01
+    assert not rows.pulled(f).any()
+
+
+def test_linear_bodies_are_assembled_once(monkeypatch):
+    """Multigrid changes no stiffness."""
+    numbers, assemble = [], TiedSystem._assemble
+
+    def assembled(self, i):
+        numbers.append(i)
+        return assemble(self, i)
+
+    pytest.importorskip("gmsh")
+    monkeypatch.setattr(TiedSystem, "_assemble", assembled)
+    monkeypatch.setattr(contact_system, "LARGE_CONTACT", 0)
+    problem, _ = hertz.press(comm, hertz.a / 2, 1, 2 / 3, False, dim=3)
+    assert isinstance(problem._tangent, MultigridTangent)
+    assert sorted(numbers) == [0, 1]
 
 
 @pytest.mark.ranks(2)
