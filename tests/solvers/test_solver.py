@@ -216,7 +216,7 @@ def test_iterations_of_bodies_in_a_row(held, flip):
     a, L, bcs, ties = pile(3, stiffness=(1.0,) * 4, held=held, flip=flip, num=(5, 4))
     problem = TiedProblem(a, L, bcs=bcs, ties=ties, solver="bodies")
     problem.solve()
-    assert problem.iterations <= 45  # 30 to 42
+    assert problem.iterations <= 50  # 30 to 47: round-off, by processor, changes them by 3
 
 
 def test_too_many_bodies_in_a_row():
