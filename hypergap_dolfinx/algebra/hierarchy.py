@@ -13,8 +13,7 @@ that on coarse levels bodies could not slide. Prolongators know nothing of B: th
 constraints, and :math:`P^T K P` is computed only if K changes. At first it is that of GAMG itself.
 
 On the finest level smoothing holds the constraints instead: with a projection Π on displacements
-that do, sweeps take :math:`\Pi D^{-1} r` of residuals r of K, and corrections are
-:math:`\Pi P x`. Springs that hold gaps as well would be so stiff that smoothing is slow. With
+that do, residuals are those of :math:`\Pi^T K \Pi`, and corrections are :math:`\Pi P x`. Springs that hold gaps as well would be so stiff that smoothing is slow. With
 friction Π is oblique, which lengthens what it projects: springs it is, then.
 
 Smoothing reads the levels' matrices many times, and memory takes the time. So real ones that are
@@ -130,10 +129,8 @@ class _Sum:
 class Projector(Protocol):
     """Projection Π = I − D⁻¹FᵀS⁻¹B on displacements that hold constraints. All is collective."""
 
-    diagonal: PETSc.Vec
-    """The stiffness's diagonal."""
     has_diagonal: bool
-    """True if D is that."""
+    """True if D is the stiffness's diagonal."""
     is_symmetric: bool
     """True if F is B."""
 
@@ -144,30 +141,36 @@ class Projector(Protocol):
         """Apply I − FᵀS⁻¹BD⁻¹ in place."""
 
 
-class _Smoother:
-    """Π diag(K)⁻¹ Πᵀ as the context of a Python PC."""
+class _Projected:
+    """Πᵀ K Π as the context of a Python matrix; Πᵀ K if D is K's diagonal.
 
-    def __init__(self, projector: Projector, scale: float):
-        """Take a projector, which stays the caller's, and the scale of the level's matrix."""
-        self._projector, self._inverse = projector, projector.diagonal.copy()
-        self._inverse.scale(scale)
-        self._inverse.reciprocal()
+    Then D⁻¹ Πᵀ = Π D⁻¹, so that what smoothing adds holds the constraints.
+    """
 
-    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec):
+    def __init__(self, projector: Projector, K: PETSc.Mat):
+        """Take a projector and a matrix, which stay the caller's."""
+        self._projector, self._K, self._u = projector, K, K.createVecRight()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec):
         """Apply it. Collective."""
-        r.copy(z)
-        if not self._projector.has_diagonal:  # else Π D⁻¹ Πᵀ = Π D⁻¹
-            self._projector.project_transpose(z)
-        z.pointwiseMult(self._inverse, z)
-        self._projector.project(z)
+        if not self._projector.has_diagonal:
+            x.copy(self._u)
+            self._projector.project(self._u)
+            x = self._u
+        self._K.mult(x, y)
+        self._projector.project_transpose(y)
 
-    def destroy(self, pc: PETSc.PC):
+    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec):
+        """That of K. Collective."""
+        self._K.getDiagonal(diagonal)
+
+    def destroy(self, matrix: PETSc.Mat):
         """Destroy a vector. Collective."""
-        self._inverse.destroy()
+        self._u.destroy()
 
 
 class _Interpolation:
-    """Π P as the context of a Python matrix."""
+    """Π P as the context of a Python matrix, and Pᵀ: residuals are projected."""
 
     def __init__(self, projector: Projector, P: PETSc.Mat):
         """Take a projector and a prolongator, which stay the caller's."""
@@ -185,9 +188,7 @@ class _Interpolation:
 
     def multTranspose(self, matrix: PETSc.Mat, r: PETSc.Vec, y: PETSc.Vec):
         """Restrict. Collective."""
-        r.copy(self._u)
-        self._projector.project_transpose(self._u)
-        self._P.multTranspose(self._u, y)
+        self._P.multTranspose(r, y)
 
     def destroy(self, matrix: PETSc.Mat):
         """Destroy a vector. Collective."""
@@ -230,7 +231,7 @@ class Hierarchy:
         self._stiffness: list[PETSc.Mat] = []  # all levels without springs
         self._levels: list[PETSc.Mat] = []
         self.projects = False
-        """True if what the preconditioner gives holds the constraints."""
+        """True if the finest level projects; with K's diagonal as D it holds the constraints."""
         self._largest: dict[int, float] = {}  # eigenvalues of levels
 
     def set_stiffness(self, K: PETSc.Mat, ksp: PETSc.KSP):
@@ -285,7 +286,12 @@ class Hierarchy:
         self.projects = springs is not None and not self._needs_entries and projector.is_symmetric
         if springs is not None:
             self._levels = self._with_springs(springs)
-        levels = [*self._stiffness[: self.projects], *self._levels] or self._stiffness
+            if self.projects:
+                K = self._stiffness[0]
+                context = _Projected(projector, K)
+                self._levels.insert(0, PETSc.Mat().createPython(K.getSizes(), context, comm=K.comm))
+                self._levels[0].setUp()
+        levels = self._levels or self._stiffness
         ksp.setOperators(operator, levels[0])
         pc = ksp.getPC()
         if pc.getType() != PETSc.PC.Type.MG:
@@ -299,49 +305,33 @@ class Hierarchy:
             pc.setMGInterpolation(num - 1 - level, P)
         for level, matrix in enumerate(levels[1:], 1):
             pc.getMGSmoother(num - 1 - level).setOperators(matrix)
-        if not fewer:  # without springs the finest level's is that of K
-            kept = [num - 1] if self.projects else []
-            self._largest = {k: self._largest[k] for k in kept if k in self._largest}
+        of_K = self.projects and projector.has_diagonal  # then the finest level's is no larger
+        kept = set(range(num - self.projects) if fewer else ()) | ({num - 1} if of_K else set())
+        self._largest = {k: self._largest[k] for k in kept & self._largest.keys()}
         if not self.projects:
             self._set_up(pc, levels)
             return
-        smoother = pc.getMGSmoother(num - 1).getPC()
-        smoother.setType(PETSc.PC.Type.PYTHON)
-        smoother.setPythonContext(_Smoother(projector, self._scale))
-        limited = None if projector.has_diagonal else _Smoother(projector, self._scale)
         context = _Interpolation(projector, self._P[0])
         interpolation = PETSc.Mat().createPython(self._P[0].getSizes(), context, comm=ksp.comm)
         interpolation.setUp()
         pc.setMGInterpolation(num - 1, interpolation)
         interpolation.destroy()
-        database, name = PETSc.Options(), f"{pc.getOptionsPrefix()}mg_levels_{num - 1}_pc_type"
-        given = database.getAll().get(name)  # getString finds that of all levels, too
-        database[name] = PETSc.PC.Type.PYTHON
-        try:
-            self._set_up(pc, levels, limited)
-        finally:
-            del database[name]
-            if given:
-                database[name] = given
+        self._set_up(pc, [self._stiffness[0], *levels[1:]] if of_K else levels)
 
-    def _set_up(self, pc: PETSc.PC, levels: Sequence[PETSc.Mat], smoother: _Smoother | None = None):
+    def _set_up(self, pc: PETSc.PC, levels: Sequence[PETSc.Mat]):
         """Set up multigrid, with the largest eigenvalues for the smoothers of its levels.
 
         Args:
             pc: Multigrid.
-            levels: The levels' matrices, the finest one first.
-            smoother: The finest level's if its eigenvalues are larger than over the diagonal.
+            levels: Matrices with these over their diagonals, the finest level's first.
         """
         prefix, database, set_here = f"{pc.getOptionsPrefix()}mg_levels_", PETSc.Options(), []
         for number, matrix in zip(range(len(levels) - 1, 0, -1), levels, strict=False):
             if not _is_ours(prefix, number):
                 continue
-            of_level = smoother if matrix is levels[0] else None
-            largest = None if of_level else self._largest.get(number)
-            if largest is None:
-                largest = _largest_eigenvalue(matrix, f"{prefix}esteig_", of_level)
-            if of_level is None:
-                self._largest[number] = largest
+            if number not in self._largest:
+                self._largest[number] = _largest_eigenvalue(matrix, f"{prefix}esteig_")
+            largest = self._largest[number]
             set_here.append(f"{prefix}{number}_ksp_chebyshev_eigenvalues")
             database[set_here[-1]] = f"{0.1 * largest},{1.1 * largest}"  # as PETSc does
         try:
@@ -403,7 +393,7 @@ def _is_ours(prefix: str, number: int) -> bool:
     database, levels = PETSc.Options(), (prefix, f"{prefix}{number}_")
     options = "ksp_chebyshev_eigenvalues", "ksp_chebyshev_esteig"
     given = any(of + option in database for of in levels for option in options)
-    kinds = {database.getString(of + "pc_type", "jacobi") for of in levels} - {"python"}
+    kinds = {database.getString(of + "pc_type", "jacobi") for of in levels}
     return not given and kinds == {"jacobi"}
 
 
@@ -421,14 +411,12 @@ def _asymmetry(K: PETSc.Mat) -> float:
     return abs(found[1] - np.conj(found[0])) / size if size else 0.0
 
 
-def _largest_eigenvalue(A: PETSc.Mat, prefix: str, smoother: _Smoother | None) -> float:
-    """Largest eigenvalue of a matrix with a smoother, or over its diagonal, nearly. Collective."""
+def _largest_eigenvalue(A: PETSc.Mat, prefix: str) -> float:
+    """Largest eigenvalue of a matrix over its diagonal, nearly. Collective."""
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setType(PETSc.KSP.Type.GMRES)
-    ksp.getPC().setType(PETSc.PC.Type.PYTHON if smoother else PETSc.PC.Type.JACOBI)
-    if smoother:
-        ksp.getPC().setPythonContext(smoother)
+    ksp.getPC().setType(PETSc.PC.Type.JACOBI)
     ksp.setNormType(PETSc.KSP.NormType.NONE)
     ksp.setComputeEigenvalues(True)
     ksp.setFromOptions()

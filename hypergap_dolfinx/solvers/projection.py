@@ -200,7 +200,7 @@ class Projection:
     def mult(self, x: PETSc.Vec, y: PETSc.Vec):
         """Apply ΠᵀKΠ."""
         assert self._hierarchy is not None
-        if not self._hierarchy.projects:
+        if not (self._hierarchy.projects and self.has_diagonal):
             x.copy(self._u)
             self.project(self._u)
             x = self._u
