@@ -35,9 +35,10 @@ from hypergap_dolfinx.contact_solver.tolerances import (
 )
 from hypergap_dolfinx.core.sparse import coo_matrix
 from hypergap_dolfinx.errors import SolveError
+from hypergap_dolfinx.solvers.bodywise import LU
 from hypergap_dolfinx.solvers.multigrid import Multigrid, joined_ties
 from hypergap_dolfinx.solvers.projection import Constraints, Projection
-from hypergap_dolfinx.solvers.solver import Options, System
+from hypergap_dolfinx.solvers.solver import Options, System, prefixed
 from hypergap_dolfinx.surface.moving import Sparse, joined
 
 Array = npt.NDArray[np.float64]
@@ -163,6 +164,7 @@ class MultigridTangent:
         defaults = {**Multigrid.OPTIONS, "ksp_max_it": 200, "mg_levels_ksp_max_it": 2}
         if not symmetric:
             defaults |= {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 200}
+            defaults |= prefixed("interface_redundant_", LU)  # pivots
         self._prefix = prefix
         self._made: Projection | None = None
         self._options = Options(prefix, options or {}, defaults, "")

@@ -153,7 +153,7 @@ class Multigrid(IterativeSolver):
         **prefixed("aggregates_", Hierarchy.OPTIONS),
         "interface_ksp_type": "preonly",
         "interface_pc_type": "redundant",  # small, and solved with several times an iteration
-        **prefixed("interface_redundant_", LU),
+        **prefixed("interface_redundant_", LU | {"pc_type": "cholesky"}),
     }
     SUITED = "for cells of good shape, and for Poisson's ratios up to 0.49"
     """What it is for beside definite stiffness, in messages."""

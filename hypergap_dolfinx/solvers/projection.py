@@ -81,6 +81,9 @@ class Projection:
         comm = self.K.comm
         (self._u, self.r), self.diagonal = self.K.createVecs(), self.K.createVecRight()
         self._solver = create_solver(f"{prefix}interface_", comm)
+        if comm.size == 1 and self._solver.getPC().getType() == PETSc.PC.Type.REDUNDANT:
+            self._solver.destroy()
+            self._solver = create_solver(f"{prefix}interface_redundant_", comm)
         self._hierarchy: Hierarchy | None = None
         self._state: list[int] = []
         self._constraints: Constraints | None = None
