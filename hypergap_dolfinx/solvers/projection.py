@@ -185,8 +185,10 @@ class Projection:
         squares.setValuesCSR(rows, columns, values**2)
         squares.assemble()
         self._inverse = self._weights(squares)
-        self._FD = self._F.copy()
-        self._FD.diagonalScale(R=self._inverse)
+        scaled = [matrix.copy() for matrix in ((B,) if self.is_symmetric else (B, self._F))]
+        for matrix in scaled:
+            matrix.diagonalScale(R=self._inverse)
+        self._BD, self._FD = scaled[0], scaled[-1]
         S = B.matTransposeMult(self._FD)
         stiffness = self._stiffness_of_springs(squares, S)
         self._solver.reset()  # there may be more constraints, or fewer
@@ -195,7 +197,7 @@ class Projection:
         springs = B.copy()
         stiffness.sqrtabs()
         springs.diagonalScale(L=stiffness)
-        self._of_constraints = [self._c, self._y, self._FD, self._inverse, S]
+        self._of_constraints = [self._c, self._y, *scaled, self._inverse, S]
         for obj in (squares, stiffness):
             obj.destroy()
         return springs
@@ -228,8 +230,7 @@ class Projection:
     def project_transpose(self, r: PETSc.Vec):
         """Apply Πᵀ in place; y has the multipliers, which take part of the loads."""
         if self._constraints is not None:
-            self._u.pointwiseMult(self._inverse, r)
-            self._constraints.B.mult(self._u, self._c)
+            self._BD.mult(r, self._c)
             self._solver.solve(self._c, self._y)
             self._c.axpby(-1.0, 0.0, self._y)
             self._F.multTransposeAdd(self._c, r, r)
