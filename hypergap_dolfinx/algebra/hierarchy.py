@@ -288,8 +288,8 @@ class Hierarchy:
             self._levels = self._with_springs(springs)
             if self.projects:
                 K = self._stiffness[0]
-                context = _Projected(projector, K)
-                self._levels.insert(0, PETSc.Mat().createPython(K.getSizes(), context, comm=K.comm))
+                finest = _Projected(projector, K)
+                self._levels.insert(0, PETSc.Mat().createPython(K.getSizes(), finest, comm=K.comm))
                 self._levels[0].setUp()
         levels = self._levels or self._stiffness
         ksp.setOperators(operator, levels[0])
