@@ -274,6 +274,11 @@ class Projection:
         self._stiffness_times(u, r, self._more)
         r.array[:] = loads - r.array_r
         self.project_transpose(r)
+        if self._constraints is not None:  # what is left may be the round-off of large loads
+            first = self._y.copy()
+            self.project_transpose(r)
+            self._y.axpy(1.0, first)
+            first.destroy()
 
     def add_solution(self, ksp: PETSc.KSP, u: PETSc.Vec):
         """Solve for the loads b, and add the displacements to u."""
