@@ -13,8 +13,9 @@ that on coarse levels bodies could not slide. Prolongators know nothing of B: th
 constraints, and :math:`P^T K P` is computed only if K changes. At first it is that of GAMG itself.
 
 On the finest level smoothing holds the constraints instead: with a projection Π on displacements
-that do, residuals are those of :math:`\Pi^T K \Pi`, and corrections are :math:`\Pi P x`. Springs that hold gaps as well would be so stiff that smoothing is slow. With
-friction Π is oblique, which lengthens what it projects: springs it is, then.
+that do, residuals are those of :math:`\Pi^T K \Pi`, and corrections are :math:`\Pi P x`. Springs
+that hold gaps as well would be so stiff that smoothing is slow. With friction Π is oblique, which
+lengthens what it projects: springs it is, then.
 
 Smoothing reads the levels' matrices many times, and memory takes the time. So real ones that are
 symmetric are stored by their upper halves, in blocks, and what springs add on coarse levels beside
