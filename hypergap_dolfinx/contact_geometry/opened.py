@@ -3,6 +3,7 @@
 """Σ and Γ1 at the present displacements as DOLFINx meshes, with values on them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -50,7 +51,7 @@ class OpenColumns:
 
     def cover(self, surface: Surface) -> npt.NDArray[np.bool_]:
         """Mask of Γ1's facets of which all lies opposite Γ0, ``(num_facets,)``."""
-        sizes = np.abs(np.linalg.det(np.diff(self.X, axis=1)))
+        sizes = _sizes(self.X)
         whole = math.factorial(surface.gdim - 1) * basix.cell.volume(surface.geometry.cell_type)
         return np.bincount(self.facets, sizes, len(surface.facets)) >= (1 - SLIVER) * whole
 
@@ -65,52 +66,99 @@ class OpenColumns:
         corners = basix.geometry(surface.geometry.cell_type)[
             around_corners(surface.facets.shape[1])
         ]
-        found = []
-        for f in facets:
-            parts = [corners]
-            for X in self.X[self.facets == f]:
-                parts = [rest for part in parts for rest in _without(part, X)]
-            found += [(f, X) for part in parts for X in _simplices(part)]
-        on, X = zip(*found, strict=True) if found else ((), ())
-        return np.array(on, dtype=np.intp), np.reshape(X, (-1, *self.X.shape[1:]))
+        order = np.argsort(self.facets, kind="stable")
+        first, end = (
+            np.searchsorted(self.facets[order], facets, side) for side in ("left", "right")
+        )
+        parts = _Parts.of(np.arange(len(facets)), np.tile(corners, (len(facets), 1, 1)))
+        for k in range((end - first).max(initial=0)):
+            has = (end - first)[parts.of_facet] > k
+            some = parts.some(has)
+            less = some.without(self.X[order[first[some.of_facet] + k]])
+            parts = _Parts.joined([parts.some(~has), *less])
+        i, X = parts.simplices()
+        return facets[i], X
 
 
-def _simplices(part: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
-    """Simplices that fill a convex polygon, or an interval."""
-    if part.shape[1] == 1:
-        return [part] if len(part) == 2 else []
-    return [part[[0, k, k + 1]] for k in range(1, len(part) - 1)]
+@dataclass(frozen=True)
+class _Parts:
+    """Convex parts of facets: polygons, or intervals."""
+
+    of_facet: npt.NDArray[np.intp]
+    """Number of the facet, ``(num,)``."""
+    x: npt.NDArray[np.float64]
+    """Reference coordinates of the corners, ``(num, most_corners, dim)``."""
+    num: npt.NDArray[np.intp]
+    """Number of corners, ``(num,)``."""
+
+    @classmethod
+    def of(cls, of_facet, x: npt.NDArray[np.float64]) -> "_Parts":
+        """Parts with as many corners each."""
+        return cls(of_facet, x, np.full(len(x), x.shape[1]))
+
+    def some(self, which) -> "_Parts":
+        """Some of them."""
+        return _Parts(self.of_facet[which], self.x[which], self.num[which])
+
+    @staticmethod
+    def joined(every: Sequence["_Parts"]) -> "_Parts":
+        """All of several."""
+        most = max(parts.x.shape[1] for parts in every)
+        x = [np.pad(p.x, ((0, 0), (0, most - p.x.shape[1]), (0, 0))) for p in every]
+        of_facet, num = ([getattr(p, name) for p in every] for name in ("of_facet", "num"))
+        return _Parts(np.concatenate(of_facet), np.concatenate(x), np.concatenate(num))
+
+    def simplices(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+        """Simplices that fill them: parts' facets and corners."""
+        if self.x.shape[2] == 1:
+            return self.of_facet, self.x[:, :2]
+        part, k = np.nonzero(np.arange(1, self.x.shape[1] - 1) + 1 < self.num[:, None])
+        corners = np.stack((0 * k, k + 1, k + 2), axis=1)
+        return self.of_facet[part], self.x[part[:, None], corners]
+
+    def are_some(self) -> npt.NDArray[np.bool_]:
+        """Mask of those that are more than round-off."""
+        i, X = _Parts(np.arange(len(self.num)), self.x, self.num).simplices()
+        return np.bincount(i, _sizes(X), len(self.num)) > ROUND_OFF_FACET
+
+    def without(self, X: npt.NDArray[np.float64]) -> "list[_Parts]":
+        """What a simplex leaves of each, ``(num, n, n - 1)``, without round-off."""
+        counts, found, part = _sizes(X) > ROUND_OFF_FACET, [], self
+        X = np.where(counts[:, None, None], X, np.eye(X.shape[1], X.shape[2], k=-1))
+        inverse = np.linalg.inv(np.concatenate((X, np.ones((*X.shape[:2], 1))), axis=2))
+        for i in range(X.shape[1]):  # by its barycentric coordinates
+            slope, at = inverse[:, :-1, i], inverse[:, -1:, i]
+            found.append(part.where_positive(-(np.einsum("pcd,pd->pc", part.x, slope) + at)))
+            part = part.where_positive(np.einsum("pcd,pd->pc", part.x, slope) + at)
+        meets = counts & part.are_some()
+        return [self.some(~meets), *(rest.some(meets & rest.are_some()) for rest in found)]
+
+    def where_positive(self, height: npt.NDArray[np.float64]) -> "_Parts":
+        """What of them is where linear functions aren't negative, from values at the corners."""
+        (num, most), k = height.shape, np.arange(height.shape[1])
+        exists = k < self.num[:, None]
+        before = np.where(k > 0, k - 1, np.maximum(self.num[:, None] - 1, 0))
+        last = np.take_along_axis(height, before, axis=1)
+        cuts = exists & (last * height < 0)
+        share = np.divide(last, last - height, out=np.zeros_like(height), where=cuts)[:, :, None]
+        start = np.take_along_axis(self.x, before[:, :, None], axis=1)
+        x = np.stack((start + share * (self.x - start), self.x), axis=2)
+        on = np.stack((cuts, exists & (height >= 0)), axis=2).reshape(num, 2 * most)
+        count = on.sum(axis=1)
+        order = np.argsort(~on, axis=1, kind="stable")[:, : max(count.max(initial=0), 2), None]
+        x = np.take_along_axis(x.reshape(num, 2 * most, x.shape[3]), order, axis=1)
+        if x.shape[2] == 1:
+            there = np.arange(x.shape[1])[:, None] < count[:, None, None]
+            low = np.where(there, x, np.inf).min(axis=1, keepdims=True)
+            high = np.where(there, x, -np.inf).max(axis=1, keepdims=True)
+            x = np.where(count[:, None, None] > 0, np.concatenate((low, high), axis=1), 0)
+            count = np.minimum(count, 2)
+        return _Parts(self.of_facet, x, count)
 
 
-def _size(simplex: npt.NDArray[np.float64]) -> float:
-    return abs(float(np.linalg.det(np.diff(simplex, axis=0))))
-
-
-def _without(part: npt.NDArray[np.float64], simplex) -> list[npt.NDArray[np.float64]]:
-    """Convex parts of what a simplex leaves of a convex part, without round-off."""
-    if _size(simplex) <= ROUND_OFF_FACET:
-        return [part]
-    found = []
-    for i in range(len(simplex)):  # by its barycentric coordinates
-        x, corners = (np.vstack((points.T, np.ones(len(points)))) for points in (part, simplex))
-        height = np.linalg.solve(corners, x)[i]
-        found.append(_where_positive(part, -height))
-        part = _where_positive(part, height)
-    return [x for x in found if sum(map(_size, _simplices(x))) > ROUND_OFF_FACET]
-
-
-def _where_positive(part: npt.NDArray[np.float64], height) -> npt.NDArray[np.float64]:
-    """Convex part where a linear function isn't negative, from its values at the corners."""
-    found = []
-    for k in range(len(part)):
-        before, here = height[k - 1], height[k]
-        if before * here < 0:
-            found.append(part[k - 1] + before / (before - here) * (part[k] - part[k - 1]))
-        if here >= 0:
-            found.append(part[k])
-    if part.shape[1] == 1 and found:
-        found = [min(found), max(found)]
-    return np.reshape(found, (-1, part.shape[1]))
+def _sizes(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Sizes of simplices, ``(num, n, n - 1)``, in those of a reference cell."""
+    return np.abs(np.linalg.det(np.diff(X, axis=1)))
 
 
 def on_sigma(
