@@ -53,7 +53,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass
 class SpaceColumns:
-    """OpenColumns on facets that see one sheet, and parts of faded ones; gaps of all parts."""
+    """Columns on facets that see one sheet, and parts of faded ones; gaps of all parts."""
 
     sides: Sides
     frames: Frames
@@ -73,7 +73,7 @@ class SpaceColumns:
     def between(
         cls, sides: Sides, u: Displacements, itself: OwnPairs | None = None
     ) -> "SpaceColumns | None":
-        """OpenColumns at given displacements; None if no part of Γ1 sees Γ0.
+        """Columns at given displacements; None if no part of Γ1 sees Γ0.
 
         Args:
             sides: Γ0 and Γ1.
