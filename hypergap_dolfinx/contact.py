@@ -422,8 +422,8 @@ class Contact(Settable):
                 contact, where the pressure goes to zero as a square root, within facets.
                 This is the most accurate one. Its force equals :meth:`force` to about 1e-3 with
                 ``sliding="finite"`` (with ``"small"`` pressures are per initial area), in space
-                with four vertices in contact to 8 %, with twelve to 1.4 %. Where Γ0 ends within
-                facets of Γ1 it ends there.
+                with four vertices in contact to 8 %, with twelve to 1.4 %, of coarse bodies of
+                revolution to .6 %. Where Γ0 ends within facets of Γ1 it ends there.
 
         Returns:
             Force per area of the displaced Γ1. Where bodies touch, cells of Σ have no volume; take

@@ -144,7 +144,8 @@ def create_constraint(
 def _by_place(surface: Surface, dofs, patch) -> npt.NDArray[np.intp]:
     """Order of multipliers by the positions of their dofs, then by patch."""
     known, x = places_of_dofs(surface)
-    places = np.round(x[np.searchsorted(known, dofs)] / (COINCIDE * np.ptp(x, axis=0).max()))
+    places = x[np.searchsorted(known, dofs)] / (COINCIDE * np.ptp(x, axis=0).max())
+    places = np.round(places + 1 / 3)  # nodes of grids aren't amid two numbers
     return np.lexsort((patch, *places.T[::-1]))
 
 

@@ -162,7 +162,7 @@ def test_iterations_of_a_body_with_smooth_side_alone(how):
         problem = held_blocks(how, stiffness)
         problem.solve()
         its.append(problem.iterations)
-    # The order of multipliers, so round-off, makes 51 to 62 of the last one. Springs: 45, 19, over 120
+    # The order of multipliers makes 51 to 62 of the last one. With springs: 45, 19, over 120
     assert (np.array(its) <= (31, 9, 70)).all(), str(its)
 
 
