@@ -70,18 +70,18 @@ class OpenColumns:
         first, end = (
             np.searchsorted(self.facets[order], facets, side) for side in ("left", "right")
         )
-        parts = _Parts.of(np.arange(len(facets)), np.tile(corners, (len(facets), 1, 1)))
+        parts = _ConvexParts.of(np.arange(len(facets)), np.tile(corners, (len(facets), 1, 1)))
         for k in range((end - first).max(initial=0)):
             has = (end - first)[parts.of_facet] > k
             some = parts.some(has)
             less = some.without(self.X[order[first[some.of_facet] + k]])
-            parts = _Parts.joined([parts.some(~has), *less])
+            parts = _ConvexParts.joined([parts.some(~has), *less])
         i, X = parts.simplices()
         return facets[i], X
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _ConvexParts:
     """Convex parts of facets: polygons, or intervals."""
 
     of_facet: npt.NDArray[np.intp]
@@ -92,21 +92,21 @@ class _Parts:
     """Number of corners, ``(num,)``."""
 
     @classmethod
-    def of(cls, of_facet, x: npt.NDArray[np.float64]) -> "_Parts":
+    def of(cls, of_facet, x: npt.NDArray[np.float64]) -> "_ConvexParts":
         """Parts with as many corners each."""
         return cls(of_facet, x, np.full(len(x), x.shape[1]))
 
-    def some(self, which) -> "_Parts":
+    def some(self, which) -> "_ConvexParts":
         """Some of them."""
-        return _Parts(self.of_facet[which], self.x[which], self.num[which])
+        return _ConvexParts(self.of_facet[which], self.x[which], self.num[which])
 
     @staticmethod
-    def joined(every: Sequence["_Parts"]) -> "_Parts":
+    def joined(every: Sequence["_ConvexParts"]) -> "_ConvexParts":
         """All of several."""
         most = max(parts.x.shape[1] for parts in every)
         x = [np.pad(p.x, ((0, 0), (0, most - p.x.shape[1]), (0, 0))) for p in every]
         of_facet, num = ([getattr(p, name) for p in every] for name in ("of_facet", "num"))
-        return _Parts(np.concatenate(of_facet), np.concatenate(x), np.concatenate(num))
+        return _ConvexParts(np.concatenate(of_facet), np.concatenate(x), np.concatenate(num))
 
     def simplices(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
         """Simplices that fill them: parts' facets and corners."""
@@ -118,10 +118,10 @@ class _Parts:
 
     def are_some(self) -> npt.NDArray[np.bool_]:
         """Mask of those that are more than round-off."""
-        i, X = _Parts(np.arange(len(self.num)), self.x, self.num).simplices()
+        i, X = _ConvexParts(np.arange(len(self.num)), self.x, self.num).simplices()
         return np.bincount(i, _sizes(X), len(self.num)) > ROUND_OFF_FACET
 
-    def without(self, X: npt.NDArray[np.float64]) -> "list[_Parts]":
+    def without(self, X: npt.NDArray[np.float64]) -> "list[_ConvexParts]":
         """What a simplex leaves of each, ``(num, n, n - 1)``, without round-off."""
         counts, found, part = _sizes(X) > ROUND_OFF_FACET, [], self
         X = np.where(counts[:, None, None], X, np.eye(X.shape[1], X.shape[2], k=-1))
@@ -133,7 +133,7 @@ class _Parts:
         meets = counts & part.are_some()
         return [self.some(~meets), *(rest.some(meets & rest.are_some()) for rest in found)]
 
-    def where_positive(self, height: npt.NDArray[np.float64]) -> "_Parts":
+    def where_positive(self, height: npt.NDArray[np.float64]) -> "_ConvexParts":
         """What of them is where linear functions aren't negative, from values at the corners."""
         (num, most), k = height.shape, np.arange(height.shape[1])
         exists = k < self.num[:, None]
@@ -153,7 +153,7 @@ class _Parts:
             high = np.where(there, x, -np.inf).max(axis=1, keepdims=True)
             x = np.where(count[:, None, None] > 0, np.concatenate((low, high), axis=1), 0)
             count = np.minimum(count, 2)
-        return _Parts(self.of_facet, x, count)
+        return _ConvexParts(self.of_facet, x, count)
 
 
 def _sizes(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

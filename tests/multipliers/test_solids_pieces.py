@@ -16,6 +16,7 @@ import meshes
 import ufl
 from dolfinx import fem
 from hypergap_dolfinx import Tie, TiedProblem
+from hypergap_dolfinx.core import compat
 
 comm = MPI.COMM_WORLD
 
@@ -151,11 +152,12 @@ def test_bricks_on_a_plate(degree, swap):
 def renumbered(mesh, seed):
     """A mesh of all cells of a serial one, in a random order, with nodes in a random order."""
     rng = np.random.default_rng(seed)
-    nodes, cells = (rng.permutation(len(a)) for a in (mesh.geometry.x, mesh.geometry.dofmaps[0]))
+    given = compat.geometry_dofmap(mesh)
+    nodes, cells = (rng.permutation(len(a)) for a in (mesh.geometry.x, given))
     new = np.empty_like(mesh.geometry.x)
     new[nodes] = mesh.geometry.x
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    cells = nodes[mesh.geometry.dofmaps[0][cells]].astype(np.int64)
+    cells = nodes[given[cells]].astype(np.int64)
     if comm.rank > 0:
         cells, new = cells[:0], new[:0]
     return dolfinx.mesh.create_mesh(comm, cells, e=element, x=new)
