@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hypergap_dolfinx.contact_geometry import rays
-from hypergap_dolfinx.contact_geometry.opened import OpenColumns
 from hypergap_dolfinx.contact_geometry.protocol import Segments
 from hypergap_dolfinx.gap_mesh.tolerances import END
 from hypergap_dolfinx.surface.moving import Displacements, Sparse, displaced
@@ -100,10 +99,6 @@ class PlaneSegments(Segments):
     def slip(self, u: Displacements, target) -> Sparse:
         self._slides = True
         return super().slip(u, target)
-
-    @override
-    def columns(self, u: Displacements) -> OpenColumns:
-        return self._at(u).rays.columns()
 
 
 def _end_at(surface: Surface, vertex: int) -> tuple[int, int]:

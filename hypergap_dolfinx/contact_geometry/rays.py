@@ -66,7 +66,7 @@ quadrature, to round-off. Computed in C (``c/rays.c``, ``c/gaps.c``).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -165,6 +165,7 @@ class PlaneRays:
         given = self.sigma, doubles(q[0, self.facets])
         return _filled(self._num_dofs, 1, lambda H: call("slip_curvature", *given, H))[0]
 
+    @cached_property
     def columns(self) -> OpenColumns:
         """As :meth:`Segments.columns`."""
         x = np.empty((len(self.points), 2, 2, 2))

@@ -280,6 +280,26 @@ class SpaceColumns:
                 np.column_stack((step[:, 1], -step[:, 0])),
             )
 
+    @cached_property
+    def columns(self) -> OpenColumns:
+        """As :meth:`Segments.columns`."""
+        (pieces, heights), surfaces = self.shown, self.frames.surfaces
+        piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
+        facets = tuple(facet[piece] for facet in pieces.facets)
+        X = pieces.X[piece[:, None], np.stack((0 * corner, corner + 1, corner + 2), axis=1)]
+        every, flat = tuple(np.repeat(facet, 3) for facet in facets), X.reshape(-1, 2)
+        below = cast(self.frames, every, flat).xi
+        x = [s.points(f, at) for s, f, at in zip(surfaces, every, (below, flat), strict=True)]
+        vertices = self.facets[facets[1], pieces.part[piece]]
+        return OpenColumns(
+            x=np.stack(x[::-1]).reshape(2, -1, 3, 3).swapaxes(0, 1),
+            facets=facets[1],
+            X=X,
+            vertices=vertices[:, None],
+            shares=np.ones((len(piece), 3, 1)),
+            gap=heights[piece],
+        )
+
     def dofs(self, f0=None, f1=None) -> npt.NDArray[np.intp]:
         """Dofs of pairs of facets, Γ1's behind all of Γ0's, ``(num, num_facet_dofs)``.
 
@@ -356,26 +376,6 @@ class SpaceSegments(Segments):
             at = (facets[on], X[on]) if side == 1 else (feet.facet, feet.X)
             _raise(deep, surfaces[1], *at, feet.depths)
         return found
-
-    @override
-    def columns(self, u: Displacements) -> OpenColumns:
-        found = self._at(u).rays
-        (pieces, heights), surfaces = found.shown, found.frames.surfaces
-        piece, corner = np.nonzero(np.arange(pieces.X.shape[1] - 2) + 2 < pieces.num[:, None])
-        facets = tuple(facet[piece] for facet in pieces.facets)
-        X = pieces.X[piece[:, None], np.stack((0 * corner, corner + 1, corner + 2), axis=1)]
-        every, flat = tuple(np.repeat(facet, 3) for facet in facets), X.reshape(-1, 2)
-        below = cast(found.frames, every, flat).xi
-        x = [s.points(f, at) for s, f, at in zip(surfaces, every, (below, flat), strict=True)]
-        vertices = found.facets[facets[1], pieces.part[piece]]
-        return OpenColumns(
-            x=np.stack(x[::-1]).reshape(2, -1, 3, 3).swapaxes(0, 1),
-            facets=facets[1],
-            X=X,
-            vertices=vertices[:, None],
-            shares=np.ones((len(piece), 3, 1)),
-            gap=heights[piece],
-        )
 
 
 def _raise(values: Floats, surface: Surface, facets, X, given: Floats):

@@ -130,8 +130,8 @@ class ProjectedSystem(Substitute):
 class Multigrid(IterativeSolver):
     """``"iterative"``: conjugate gradients on displacements that hold the ties, and multigrid.
 
-    The number of iterations depends neither on the mesh nor on contrasts: 15, 16, 17 with 10 000,
-    37 000 and 137 000 displacements of degree 1 (about 35 with degree 2), 16 to 19 with contrasts
+    The number of iterations depends neither on the mesh nor on contrasts: 15, 16, 18 with 10 000,
+    37 000 and 133 000 displacements of degree 1 (about 35 with degree 2), 16 to 19 with contrasts
     of 1e-6 to 1e6 (with cells graded 1:50, up to twice as many).
     """
 
